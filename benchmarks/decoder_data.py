@@ -116,8 +116,9 @@ def data_set(name: str, job: Job) -> tuple[Samples, DataSetInfo]:
     other = [key for key, value in wanted.items() if found[key] != value]
     if other or samples.shift_px is None:
         raise OutputError(
+            "output-foreign",
             f"{folder} holds another data set ({meta.what}: other {', '.join(other) or 'parts'}); "
-            "move it away, or set PHYTAC_DATA to another folder"
+            "move it away, or set PHYTAC_DATA to another folder",
         )
     return samples, meta
 

@@ -169,7 +169,9 @@ def _torn_detector(
     detector = TornFrameDetector()
     for seed in (*(10000 * k + index for k in range(3, 3 + FRAMES_CHANGED_MIN)), 2000 + index):
         if detector.check([bench.shot(light, seed=seed)]):
-            raise InputError(f"sample {index}: two draws of the noise are the same")
+            raise InputError(
+                "noise-draws-equal", f"sample {index}: two draws of the noise are the same"
+            )
     return detector
 
 

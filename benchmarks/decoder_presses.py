@@ -69,7 +69,9 @@ class PressedSensor:
             rows = np.flatnonzero(touches.sample == index)
             found = solver.solve(touches.pick(rows, [index]), job.plan.felt_N[rows]).motion
             if found is None:
-                raise InputError(f"sample {index} of the benchmark could not be solved")
+                raise InputError(
+                    "sample-not-solved", f"sample {index} of the benchmark could not be solved"
+                )
             motion.append(found)
         return cls(job=job, imaging=imaging, bundle=bundle, motion=np.stack(motion))
 

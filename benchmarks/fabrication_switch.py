@@ -90,7 +90,9 @@ def switches(table: Table, *, quick: bool) -> None:
     soft = hard.of_modulus(SOFTER_MPa)
     found = feasible_range(soft, space)
     if found is None:
-        raise DesignError("no switch fits the default space; check the space's defaults")
+        raise DesignError(
+            "switch-infeasible", "no switch fits the default space; check the space's defaults"
+        )
     largest = 0.99 * found.max_N
     asks = [(0.5, hard)] if quick else [(0.5, hard), *((f, soft) for f in (0.1, 0.2, 0.35))]
     if not quick:

@@ -51,7 +51,10 @@ def results_of(name: str) -> Context:
         keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
         folder = cache.lookup(stage.name, keys[stage.name])
         if folder is None:
-            raise NumericalError(f"{name}: the stage {stage.name} left no result in the cache")
+            raise NumericalError(
+                "stage-without-result",
+                f"{name}: the stage {stage.name} left no result in the cache",
+            )
         context.folders[stage.name] = folder
     return context
 

@@ -66,7 +66,9 @@ def chromium() -> Iterator[Browser]:
     names = ("chromium", "chromium-browser", "google-chrome")
     program = next(filter(None, map(shutil.which, names)), None)
     if program is None:
-        raise MissingPartError("no Chromium on this machine; tools/system-packages.sh installs it")
+        raise MissingPartError(
+            "missing-library", "no Chromium on this machine; tools/system-packages.sh installs it"
+        )
     flags = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=program, args=flags)

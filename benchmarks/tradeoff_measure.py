@@ -59,7 +59,9 @@ def measure_stages(
             _forked(stage, keys[stage.name], inner)
         folder = cache.lookup(stage.name, keys[stage.name])
         if folder is None:
-            raise NumericalError(f"the stage {stage.name} failed; build the design to see why")
+            raise NumericalError(
+                "stage-failed", f"the stage {stage.name} failed; build the design to see why"
+            )
         context.folders[stage.name] = folder
         record = cache.record(folder)
         if "cpu_s" in record:

@@ -286,7 +286,7 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
     from phytac_design.stages import shell_stage
 
     def absent(*_: object, **__: object) -> None:
-        raise MissingPartError("no CAD: libGL.so.1 is missing")
+        raise MissingPartError("missing-library", "no CAD: libGL.so.1 is missing")
 
     none = {"libGL.so.1": False, "libX11.so.6": False}
     monkeypatch.setattr(stage, "graphics_libraries", lambda: none)
@@ -306,7 +306,9 @@ def test_a_shell_that_the_cad_kernel_cannot_fuse_is_printed_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object) -> None:
-        raise CadKernelError("OpenCASCADE cannot fuse receptors and wall: 4 solids instead of 1")
+        raise CadKernelError(
+            "cad-fuse-failed", "OpenCASCADE cannot fuse receptors and wall: 4 solids instead of 1"
+        )
 
     monkeypatch.setattr("phytac_design.stages.shell_stage.shell_cad", broken)
     monkeypatch.setattr("phytac_design.fabrication.hardware.step.shell_cad", broken)

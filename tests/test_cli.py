@@ -85,10 +85,14 @@ def test_new_then_check(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (("check", "cylinder6"), 2, "error: no design 'cylinder6'"),
+        (("check", "cylinder6"), 2, "error[toml-file-not-found]: no design 'cylinder6'"),
         (("build", "cylinder60", "--only", "mseh"), 2, "did you mean 'mesh'"),
         (("build", "cylinder60", "--seed", "99999999999999999999"), 2, "seed"),
-        (("decode", "nowhere", "x.png"), 4, "error: no decoder bundle in nowhere"),
+        (
+            ("decode", "nowhere", "x.png"),
+            4,
+            "error[bundle-not-found]: no decoder bundle in nowhere",
+        ),
     ],
 )
 def test_errors_are_one_line(
@@ -97,7 +101,7 @@ def test_errors_are_one_line(
     out = phytac(*words, cwd=tmp_path)
     assert out.returncode == code
     assert message in out.stderr
-    if out.stderr.startswith("error:"):  # the command's own words are explained in a box
+    if out.stderr.startswith("error["):  # the command's own words are explained in a box
         assert len(out.stderr.strip().splitlines()) == 1
     assert "Traceback" not in out.stderr
     assert list(tmp_path.iterdir()) == []

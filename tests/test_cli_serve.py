@@ -137,7 +137,9 @@ def test_errors_are_one_line(toy: tuple[str, str], tmp_path: Path) -> None:
         port = str(taken.getsockname()[1])
         out = phytac("serve", decoder, frames, "--port", port, "--record", "x.csv", cwd=tmp_path)
     assert (out.returncode, len(out.stderr.splitlines())) == (3, 1)
-    assert out.stderr.startswith(f"error: cannot listen at 127.0.0.1, port {port} (Address")
+    assert out.stderr.startswith(
+        f"error[port-unavailable]: cannot listen at 127.0.0.1, port {port} (Address"
+    )
     for words, message in (
         ((decoder, frames, frames), "the sensor 'toy' has one camera: one source (got 2)"),
         ((decoder, str(tmp_path / "none")), "no frames at"),

@@ -89,6 +89,6 @@ def test_bad_files_get_one_error(step: Path, tmp_path: Path) -> None:
         patch_changes(other)
     out = phytac("new", "mine", "--from-step", str(tmp_path / "nowhere.step"), cwd=tmp_path)
     assert out.returncode == InputError.exit_code
-    assert out.stderr.startswith("error: no STEP file at")
+    assert out.stderr.startswith("error[file-unreadable]: no STEP file at")
     assert len(out.stderr.splitlines()) == 1
     assert not (tmp_path / "mine.toml").exists()

@@ -66,7 +66,7 @@ def off_by(error: Any, tolerance: float = 1.0) -> Any:
 
 def rejects(text: str) -> Any:
     def check(_: Mapping[str, Any], found: Evidence) -> None:
-        raise DesignError(text)
+        raise DesignError("some-rule", text)
 
     return check
 
@@ -122,7 +122,7 @@ def test_errors_count_where_the_case_permits_them() -> None:
 def test_findings_before_an_error_count() -> None:
     def check(_: Mapping[str, Any], found: Evidence) -> None:
         found.add("the message's figure", 0.5, 0.1)
-        raise DesignError(GOOD)
+        raise DesignError("some-rule", GOOD)
 
     assert "the message's figure" in outcome_of(check, "refused").why
 

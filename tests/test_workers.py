@@ -15,13 +15,13 @@ from phytac_shapes.errors import DesignError
 
 def start(base: int) -> int:
     if base < 0:
-        raise DesignError("base below zero")
+        raise DesignError("base-below-zero", "base below zero")
     return base
 
 
 def work(base: int, task: int) -> int:
     if task == 13:
-        raise DesignError("thirteen")
+        raise DesignError("number-thirteen", "thirteen")
     return base + task
 
 

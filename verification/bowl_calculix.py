@@ -74,8 +74,9 @@ def _material(material: Material) -> Iterator[str]:
         spread = [2.0 / material.bulk_MPa, *(0.0 for _ in range(count - 1))]
     else:
         raise InputError(
+            "calculix-law-unknown",
             f"CalculiX has no law like {type(material).__name__} with its terms; take neo-Hookean, "
-            "Yeoh of three terms, or Ogden"
+            "Yeoh of three terms, or Ogden",
         )
     yield f"*HYPERELASTIC, {kind}"
     numbers = [f"{x:.12e}" for x in (*terms, *spread)]

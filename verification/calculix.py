@@ -101,7 +101,7 @@ def run_ccx(path: Path) -> list[dict[tuple[str, str], tuple[IntArray, FloatArray
         If it reports an error or does not converge.
     """
     if shutil.which("ccx") is None:
-        raise MissingPartError(NO_CCX)
+        raise MissingPartError("missing-library", NO_CCX)
     run = subprocess.run(
         ["ccx", path.stem],
         cwd=path.parent,
@@ -115,7 +115,9 @@ def run_ccx(path: Path) -> list[dict[tuple[str, str], tuple[IntArray, FloatArray
     bad = re.search(r"\*ERROR.*(?:\n.*)?", run.stdout)
     if run.returncode or bad or not table.exists():
         text = bad.group(0) if bad else run.stdout[-300:] + run.stderr[-300:]
-        raise NumericalError(f"ccx failed on {path.name} (code {run.returncode}): {text.strip()}")
+        raise NumericalError(
+            "calculix-failed", f"ccx failed on {path.name} (code {run.returncode}): {text.strip()}"
+        )
     return read_dat(table.read_text())
 
 
@@ -156,7 +158,10 @@ def read_convergence(path: Path) -> Convergence:
         tables.append([row for row in rows if len(row) == columns and row[0].isdigit()])
     done, tried = tables
     if not (done and tried):
-        raise NumericalError(f"ccx wrote no increments of {path.name}; was it an NLGEOM job?")
+        raise NumericalError(
+            "calculix-no-increments",
+            f"ccx wrote no increments of {path.name}; was it an NLGEOM job?",
+        )
     return Convergence(
         factor=float(done[-1][4]),
         increments=len(done),
@@ -192,7 +197,7 @@ def ccx_version() -> str:
         If there is none.
     """
     if shutil.which("ccx") is None:
-        raise MissingPartError(NO_CCX)
+        raise MissingPartError("missing-library", NO_CCX)
     run = subprocess.run(["ccx", "-v"], capture_output=True, text=True, check=False)
     found = re.search(r"Version +(\S+)", run.stdout)
     return found.group(1) if found else "unknown"

@@ -51,15 +51,22 @@ def contact_mesh(
     """
     centre = np.asarray(centre_uv, dtype=np.float64).reshape(2)
     if surface.periodic != (False, True):
-        raise DesignError(f"mesh: surface '{surface.name}' is not open along u and closed around v")
+        raise DesignError(
+            "contact-mesh-surface",
+            f"mesh: surface '{surface.name}' is not open along u and closed around v",
+        )
     if not min(thickness_mm, core_mm, size_mm) > 0.0 or not growth >= 0.0:
         raise DesignError(
+            "contact-mesh-size",
             f"mesh: thickness, core and size must be positive, growth not negative (got "
-            f"{thickness_mm}, {core_mm}, {size_mm} mm, {growth})"
+            f"{thickness_mm}, {core_mm}, {size_mm} mm, {growth})",
         )
     (u0, u1), (v0, v1) = surface.domain
     if not u0 < centre[0] < u1:
-        raise DesignError(f"mesh: the contact's u = {centre[0]:.6g} is not between {u0} and {u1}")
+        raise DesignError(
+            "contact-mesh-position",
+            f"mesh: the contact's u = {centre[0]:.6g} is not between {u0} and {u1}",
+        )
     metric = surface.metric(centre[None])[0]
     along, around = np.sqrt(metric[0, 0]), np.sqrt(metric[1, 1])
     size = (core_mm, size_mm, growth)

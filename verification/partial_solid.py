@@ -134,8 +134,9 @@ def part_mesh(
     kept = np.flatnonzero(gap <= sizes.reach_mm)
     if not len(kept):
         raise DesignError(
+            "partial-solid-without-receptor",
             f"no receptor lies within {sizes.reach_mm:g} mm of a contact (nearest: "
-            f"{gap.min():.3g} mm); raise reach_mm"
+            f"{gap.min():.3g} mm); raise reach_mm",
         )
     bare = design.model_copy(update={"wall": design.wall.model_copy(update={"rim_length_mm": 0.0})})
     chosen = subset(markers, kept)

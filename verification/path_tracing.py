@@ -41,7 +41,9 @@ class ByDisplacement:
         """δλ; see :class:`newton.Control`."""
         drive = float(step.drive[self.dof])
         if drive == 0.0:
-            raise NotConvergedError("the controlled displacement does not feel the load")
+            raise NotConvergedError(
+                "path-direction-lost", "the controlled displacement does not feel the load"
+            )
         gap = self.distance_mm - float(step.moved[self.dof]) - float(step.balance[self.dof])
         return gap / drive
 
@@ -70,7 +72,9 @@ class ByArc:
         gap = count * self.arc_mm**2 - float(move @ move)
         slope = float(move @ tangent)
         if slope == 0.0:
-            raise NotConvergedError("the path turns at a right angle within one increment")
+            raise NotConvergedError(
+                "path-turns-sharply", "the path turns at a right angle within one increment"
+            )
         return (0.5 * gap - float(move @ fix)) / slope
 
 
@@ -98,7 +102,9 @@ def trace_displacement(
     """
     system = System(model, loading)
     if dof % 6 > 2 or not 0 <= dof < model.fixed.size or model.fixed.ravel()[dof]:
-        raise NumericalError(f"dof {dof} is not a free translation (6·node + 0, 1 or 2)")
+        raise NumericalError(
+            "path-dof-invalid", f"dof {dof} is not a free translation (6·node + 0, 1 or 2)"
+        )
     node, axis = divmod(dof, 6)
     return visit(
         system,
@@ -153,8 +159,9 @@ def trace_arc(
             except NotConvergedError as error:
                 if cut == SETTINGS.max_cutbacks:
                     raise NumericalError(
+                        "path-ended-early",
                         f"the path ends at load factor {here.load_factor:.6g} after {len(out)} "
-                        f"increments ({error}); take shorter increments or refine the mesh"
+                        f"increments ({error}); take shorter increments or refine the mesh",
                     ) from error
                 arc /= 2.0
         previous = np.zeros_like(previous)
@@ -166,8 +173,9 @@ def trace_arc(
             return out
         arc = min(longest_mm, arc * min(2.0, np.sqrt(DESIRED / max(here.iterations, 1))))
     raise NumericalError(
+        "tracing-increments-exhausted",
         f"{max_increments} increments do not reach the stop (load factor now "
-        f"{here.load_factor:.6g}); allow more or longer increments"
+        f"{here.load_factor:.6g}); allow more or longer increments",
     )
 
 

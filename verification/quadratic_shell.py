@@ -97,7 +97,9 @@ def quadratic_patch(
     np.add.at(forces, mesh.octets[near], np.einsum("qi,eqx->eix", _serendipity(r, s), push))
     total = float(np.sum(forces @ -surface.normal(centre_uv.reshape(1, 2))[0]))
     if not total > 0.0:
-        raise NumericalError("the patch touches no element; check its centre and radius")
+        raise NumericalError(
+            "patch-without-element", "the patch touches no element; check its centre and radius"
+        )
     return forces / total
 
 

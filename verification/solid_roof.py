@@ -91,7 +91,7 @@ def solid_roof(
         elif len(words) == 3:
             found[time] = -float(words[2]) / QUARTER_N
     if run.returncode or any(float(k + 1) not in found for k in range(len(sags))):
-        raise NumericalError(f"ccx did not finish: {run.stdout[-400:]}")
+        raise NumericalError("calculix-failed", f"ccx did not finish: {run.stdout[-400:]}")
     return [found[float(k + 1)] for k in range(len(sags))]
 
 

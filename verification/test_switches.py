@@ -96,7 +96,7 @@ def check_rejected(values: Mapping[str, Any], found: Evidence) -> None:
     )
     curve = press_bowl(bowl, rubber, steps=6, end_mm=values.get("end_mm"))
     if not np.isfinite(curve.force_N).all():
-        raise NumericalError("forces are not finite")
+        raise NumericalError("forces-not-finite", "forces are not finite")
     found.true("it is rejected", False)
 
 

@@ -90,8 +90,9 @@ def _on_wall(
         nodes = np.setdiff1d(found, tubes)
         if len(nodes) < FIT_MIN_NODES:
             raise NumericalError(
+                "tip-nodes-too-few",
                 f"only {len(nodes)} nodes of the solid lie within {reach_mm:.3g} mm of receptor "
-                f"{left[k]}, {FIT_MIN_NODES} are needed; mesh the wall finer"
+                f"{left[k]}, {FIT_MIN_NODES} are needed; mesh the wall finer",
             )
         first, second = _tangents(normal[k])
         frame = np.stack([first, second, normal[k]])

@@ -129,7 +129,10 @@ def _place(surface: Surface, markers: Markers, kind: str, rng: np.random.Generat
         stretch = float(np.sqrt(surface.metric(uv[None])[0, 0, 0]))
         if min(uv[0] - u0, u1 - uv[0]) * stretch > INNER_MM and v0 <= uv[1] <= v1:
             return uv
-    raise DesignError(f"no place for a contact {kind!r} on the {surface.name}; see TRIES")
+    raise DesignError(
+        "referee-contact-no-room",
+        f"no place for a contact {kind!r} on the {surface.name}; see TRIES",
+    )
 
 
 def contacts_file(name: str) -> Path:
@@ -148,7 +151,8 @@ def load_contacts(name: str) -> list[Contact]:
     path = contacts_file(name)
     if not path.is_file():
         raise DesignError(
-            f"no frozen contacts for {name!r}; run python -m benchmarks.referee.contacts"
+            "referee-contacts-missing",
+            f"no frozen contacts for {name!r}; run python -m benchmarks.referee.contacts",
         )
     return [
         Contact(

@@ -100,8 +100,9 @@ def read_solved(path: Path, design: Design, markers: Markers) -> list[Solved]:
     about, arrays = _load(path)
     if about["sensor"] != sensor_hash(design, markers):
         raise DesignError(
+            "referee-sensor-differs",
             f"{path.name} was solved for another sensor than {design.name!r} is now: its shape, "
-            "wall, material or receptors differ; solve it again with benchmarks.referee.solve"
+            "wall, material or receptors differ; solve it again with benchmarks.referee.solve",
         )
     out, first = [], {"ids": 0, "kept": 0}
     for row in about["contacts"]:
@@ -134,7 +135,9 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
             arrays = {name: file[name] for name in file.files}
         about = json.loads(arrays.pop("about").tobytes())
     except Exception as error:  # zip, zlib, JSON and numpy each raise their own
-        raise DesignError(f"{path} is no referee file ({error!r}); restore it") from error
+        raise DesignError(
+            "referee-file-invalid", f"{path} is no referee file ({error!r}); restore it"
+        ) from error
     return about, arrays
 
 

@@ -141,7 +141,10 @@ def solve_contact(
         tables = run_ccx(path)
         went = asdict(read_convergence(path))
     if abs(went["factor"] - 1.0) > FACTOR_TOL:
-        raise NumericalError(f"ccx stopped at {went['factor']:.4g} of the load of contact {index}")
+        raise NumericalError(
+            "calculix-stopped-early",
+            f"ccx stopped at {went['factor']:.4g} of the load of contact {index}",
+        )
     nodes, found = tables[-1]["displacements", "ALL"]
     motion = np.zeros_like(mesh.nodes_mm)
     motion[nodes] = found
@@ -191,7 +194,7 @@ def solve_with_patience(name: str, index: int, contact: Contact) -> Solved:
         return replace(
             done, facts={**done.facts, "key": input_key(this, contact, sizes), "reach": reach}
         )
-    raise NumericalError(f"no mesh for contact {index}")
+    raise NumericalError("referee-mesh-missing", f"no mesh for contact {index}")
 
 
 def waiting(name: str) -> Iterator[tuple[int, Contact]]:

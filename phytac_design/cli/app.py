@@ -183,7 +183,7 @@ def main() -> None:
     try:
         app()
     except PhytacError as error:
-        say(f"error: {error}")
+        say(f"error[{error.code}]: {error}")
         sys.exit(error.exit_code)
     except ModuleNotFoundError as error:
         library = str(error.name).partition(".")[0]
@@ -191,7 +191,7 @@ def main() -> None:
         if not extra:
             raise
         say(
-            f"error: this command needs {library}, which is not installed: "
+            f"error[missing-library]: this command needs {library}, which is not installed: "
             f"pip install 'phytac-design[{extra}]'"
         )
         sys.exit(MissingPartError.exit_code)

@@ -67,8 +67,9 @@ def build(
     _refuse_both({"--scene": bool(scene), "--only": bool(only), "--tolerance or --budget": within})
     if bool(design) == (from_study is not None) or (from_study is None) != (trial is None):
         raise DesignError(
+            "design-argument-missing",
             "give a design to build, as in: phytac build cylinder60; or a study's candidate, as "
-            "in: phytac build --from-study FOLDER --trial 42"
+            "in: phytac build --from-study FOLDER --trial 42",
         )
     loaded: Design
     if from_study is not None and trial is not None:
@@ -134,4 +135,6 @@ def _refuse_both(given: dict[str, bool]) -> None:
     """Say which two of several options that exclude each other were given."""
     names = [name for name, is_given in given.items() if is_given]
     if len(names) > 1:
-        raise DesignError(f"{names[0]} and {names[1]} exclude each other; give one of them")
+        raise DesignError(
+            "options-exclusive", f"{names[0]} and {names[1]} exclude each other; give one of them"
+        )

@@ -93,7 +93,7 @@ def size_bytes(text: str) -> float:
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kMG]?)B?\s*", text)
     if not match or (not match[2] and float(match[1])):
-        raise DesignError(f"no size {text!r}; write it as 2GB, 500MB or 0")
+        raise DesignError("cache-size-invalid", f"no size {text!r}; write it as 2GB, 500MB or 0")
     return float(match[1]) * {"": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}[match[2]]
 
 
@@ -107,5 +107,5 @@ def duration_s(text: str) -> float:
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smhd])\s*", text)
     if not match:
-        raise DesignError(f"no time {text!r}; write it as 90s, 30m, 12h or 7d")
+        raise DesignError("duration-invalid", f"no time {text!r}; write it as 90s, 30m, 12h or 7d")
     return float(match[1]) * {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}[match[2]]

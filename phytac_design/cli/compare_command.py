@@ -25,7 +25,8 @@ def compare(
 
     if len(folders) < 2:
         raise InputError(
-            f"a comparison needs two builds or more (got {len(folders)}); name another folder"
+            "comparison-too-few",
+            f"a comparison needs two builds or more (got {len(folders)}); name another folder",
         )
     builds = read_builds(folders)
     if as_json:
@@ -37,7 +38,7 @@ def compare(
         target.write_text(compare_page(builds), encoding="utf-8")
     except OSError as error:
         raise OutputError(
-            f"cannot write {target}: {error.strerror}; choose another --out"
+            "output-not-writable", f"cannot write {target}: {error.strerror}; choose another --out"
         ) from None
     if not as_json:
         typer.echo(f"wrote {target}: {', '.join(build.label for build in builds)}")

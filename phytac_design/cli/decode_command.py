@@ -271,7 +271,9 @@ def _decode_recording(
             rows, _ = to_parquet(contacts, parquet)
         except OutputError as error:
             kept_rows = kept[contacts].rows
-            raise OutputError(f"{error}; {kept_rows} rows are kept in {contacts}") from None
+            raise OutputError(
+                error.code, f"{error}; {kept_rows} rows are kept in {contacts}"
+            ) from None
         if "--csv" not in files:
             kept.pop(contacts)
             contacts.unlink()
@@ -283,8 +285,9 @@ def _decode_recording(
         raise typer.Exit(130)
     if not printer.valid:
         raise InputError(
+            "no-frames-decoded",
             f"none of the {stream.progress.frames} frames of {frames.description} could be "
-            f"decoded; are they of the sensor {session.bundle.design!r}?"
+            f"decoded; are they of the sensor {session.bundle.design!r}?",
         )
 
 
@@ -310,17 +313,23 @@ def _check_files(files: dict[str, Path]) -> None:
 
     for option, path in files.items():
         if path.exists():
-            raise OutputError(f"{path} is there already; give {option} another name, or remove it")
+            raise OutputError(
+                "output-exists",
+                f"{path} is there already; give {option} another name, or remove it",
+            )
     if len({path.absolute() for path in files.values()}) < len(files):
         each = ", ".join(f"{option} {path}" for option, path in files.items())
-        raise OutputError(f"two of {each} are one file; give each a name of its own")
+        raise OutputError(
+            "output-name-twice", f"two of {each} are one file; give each a name of its own"
+        )
     if "--parquet" in files:
         parquet_library()
         rows = _scratch(files["--parquet"])
         if "--csv" not in files and rows.exists():
             raise OutputError(
+                "output-partial-exists",
                 f"{rows} is there already, the rows of a run that was cut off; keep them with "
-                f"`phytac convert {rows} {files['--parquet']}`, or remove it"
+                f"`phytac convert {rows} {files['--parquet']}`, or remove it",
             )
 
 

@@ -138,7 +138,8 @@ def serve(
             stack.callback(motion.close)
             if loop and not motion.is_port:
                 raise InputError(
-                    "a file of motion samples does not begin again; leave out --loop or --imu"
+                    "imu-file-repeats",
+                    "a file of motion samples does not begin again; leave out --loop or --imu",
                 )
         server = stack.enter_context(
             StreamServer(
@@ -267,13 +268,16 @@ def open_session(
     cameras = len(bundle.cameras)
     if len(source) != cameras:
         each = "one camera: one source" if cameras == 1 else f"{cameras} cameras: one source each"
-        raise InputError(f"the sensor {bundle.design!r} has {each} (got {len(source)})")
+        raise InputError(
+            "camera-count", f"the sensor {bundle.design!r} has {each} (got {len(source)})"
+        )
     chosen = estimator or bundle.model.best
     unloaded = rest_images(bundle, rest or [], source, rest_first)
     if follow and not unloaded:
         raise InputError(
+            "rest-frame-missing",
             "--follow begins at a frame of the unloaded sensor; give it with --rest, or use "
-            "--rest-first if the recording begins with it"
+            "--rest-first if the recording begins with it",
         )
     calibrated = calibrate_rest(bundle, unloaded) if unloaded else bundle
     if follow:
@@ -332,7 +336,10 @@ def rest_images(
     from phytac_decoder.io.recorded_frames import read_image
 
     if rest and first:
-        raise InputError("--rest and --rest-first name the unloaded sensor both; give one of them")
+        raise InputError(
+            "rest-options-exclusive",
+            "--rest and --rest-first name the unloaded sensor both; give one of them",
+        )
     if first:
         size = (bundle.camera.width_px, bundle.camera.height_px)
         return first_frames(source, first, size_px=size, report=say)
@@ -354,10 +361,14 @@ def open_recorders(
     from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
 
     if record_regions and not names:
-        raise InputError("--record-regions keeps the forces of regions; name them with --regions")
+        raise InputError(
+            "regions-missing",
+            "--record-regions keeps the forces of regions; name them with --regions",
+        )
     if record and record_regions and record.resolve() == record_regions.resolve():
         raise OutputError(
-            f"--record and --record-regions are one file ({record}); give each a name of its own"
+            "output-name-twice",
+            f"--record and --record-regions are one file ({record}); give each a name of its own",
         )
     kept: Recorders = {}
     if record:

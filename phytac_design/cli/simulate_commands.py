@@ -75,8 +75,9 @@ def simulate(
     loaded, wanted = load_design(design), load_scenario(scenario)
     if samples is not None and wanted.kind == "cycles":
         raise DesignError(
+            "samples-of-cycles",
             f"--samples does not go with {wanted.name}, a scenario of cycles; set cycle.count and "
-            "cycle.every in its file"
+            "cycle.every in its file",
         )
     data = wanted.model_dump(mode="json", exclude_unset=True)
     for table, key, value in (

@@ -98,7 +98,9 @@ def _run(
     )
     study = study.model_copy(update={"budget": budget})
     if workers and scheduler:
-        raise DesignError("--workers and --scheduler exclude each other; omit one")
+        raise DesignError(
+            "options-exclusive", "--workers and --scheduler exclude each other; omit one"
+        )
     space = make_space(study, folder)
     where = out or Path("studies") / study.name
     with _pool(workers, scheduler) as pool:

@@ -74,7 +74,8 @@ def build_within(
     known = {name: name for name in get_args(Quantity) if name != "score"}
     if tolerance_of not in known:
         raise DesignError(
-            f"--tolerance-of {tolerance_of!r} is not known; choose of {', '.join(known)}"
+            "tolerance-kind-unknown",
+            f"--tolerance-of {tolerance_of!r} is not known; choose of {', '.join(known)}",
         )
     result, choice = build_to(
         design,

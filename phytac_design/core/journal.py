@@ -56,15 +56,17 @@ class Journal:
             lock = (self.folder / "lock").open("w")
         except OSError as error:
             raise OutputError(
-                f"cannot write {self.folder.parent}: {error.strerror}; choose another --out"
+                "output-not-writable",
+                f"cannot write {self.folder.parent}: {error.strerror}; choose another --out",
             ) from None
         with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 raise OutputError(
+                    "output-locked",
                     f"another run is writing to {self.folder.parent}; wait for it, or choose "
-                    "another --out"
+                    "another --out",
                 ) from None
             self._claim(run, force=force)
             yield
@@ -79,9 +81,10 @@ class Journal:
                 pass  # Damaged: of another run.
             if not force:
                 raise OutputError(
+                    "output-foreign",
                     f"{self.folder} holds results of an interrupted run with other settings, or of "
                     "another version of the program; add --force to drop them, or choose another "
-                    "--out"
+                    "--out",
                 )
         for path in self.folder.iterdir():
             if path.is_dir():

@@ -56,7 +56,9 @@ def to_parquet(
     """
     arrow = parquet_library()
     if target.exists() and not force:
-        raise OutputError(f"{target} is there already; add --force, or choose another name")
+        raise OutputError(
+            "output-exists", f"{target} is there already; add --force, or choose another name"
+        )
     table = _read(arrow, recording, report)
     half = target.with_name(target.name + ".part")
     try:
@@ -64,7 +66,9 @@ def to_parquet(
         half.replace(target)
     except OSError as error:
         half.unlink(missing_ok=True)
-        raise OutputError(f"{target} cannot be written ({error.strerror or error})") from None
+        raise OutputError(
+            "output-not-writable", f"{target} cannot be written ({error.strerror or error})"
+        ) from None
     return table.num_rows, table.num_columns
 
 
@@ -83,7 +87,8 @@ def parquet_library() -> Any:
         import pyarrow.parquet
     except ImportError:
         raise MissingPartError(
-            "Parquet needs pyarrow; install it with: pip install 'phytac-design[design]'"
+            "missing-library",
+            "Parquet needs pyarrow; install it with: pip install 'phytac-design[design]'",
         ) from None
     return pa
 
@@ -113,13 +118,16 @@ def _read(arrow: Any, recording: Path, report: Callable[[str], None]) -> Any:
         )
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"no recording at {recording} ({reason})") from None
+        raise InputError("file-unreadable", f"no recording at {recording} ({reason})") from None
     except arrow.ArrowInvalid as error:
-        raise InputError(f"{recording} is no recording: {str(error).splitlines()[0]}") from None
+        raise InputError(
+            "recording-invalid", f"{recording} is no recording: {str(error).splitlines()[0]}"
+        ) from None
     if not {"sequence", "timestamp_s", "valid"} <= set(table.column_names):
         raise InputError(
+            "recording-invalid",
             f"{recording} is no recording: no columns sequence, timestamp_s and valid; give a file "
-            "of `phytac serve --record` or --record-regions"
+            "of `phytac serve --record` or --record-regions",
         )
     if "markers" in table.column_names:
         place = table.column_names.index("markers")
@@ -127,5 +135,7 @@ def _read(arrow: Any, recording: Path, report: Callable[[str], None]) -> Any:
             each = arrow.compute.split_pattern(table["markers"], " ")
             table = table.set_column(place, "markers", each.cast(arrow.list_(arrow.int32())))
         except arrow.ArrowInvalid as error:
-            raise InputError(f"{recording} is no recording: markers: {cause_of(error)}") from None
+            raise InputError(
+                "recording-invalid", f"{recording} is no recording: markers: {cause_of(error)}"
+            ) from None
     return table

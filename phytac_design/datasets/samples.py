@@ -184,8 +184,9 @@ class Samples:
         touches, truth, shift, bits = self.touches, self.truth, self.shift_px, self.bits_read
         if touches is None or truth is None or shift is None or bits is None:
             raise InputError(
+                "samples-without-points",
                 "the samples hold no shifts, switches, contacts or truth; make them with --keep "
-                "points"
+                "points",
             )
         return touches, truth, shift, bits
 
@@ -261,7 +262,9 @@ def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNod
     """
     if samples.bits_read is None or samples.shift_px is None or samples.truth is None:
         raise InputError(
-            "key_nodes: the samples hold no shifts, switches or truth; make them with keep='points'"
+            "samples-without-points",
+            "key_nodes: the samples hold no shifts, switches or truth; make them with "
+            "keep='points'",
         )
     size = np.linalg.norm(model.shift_to_mm, axis=1)
     force_noise = noise_px * model.stiffness_noise_N_px
@@ -324,17 +327,23 @@ def split_sequences(samples: Samples, shares: Sequence[float], *, seed: int) -> 
     """
     wanted = np.asarray(shares, dtype=np.float64)
     if wanted.ndim != 1 or len(wanted) == 0 or not np.all(wanted > 0.0):
-        raise InputError(f"split: shares must be positive numbers (got {list(shares)})")
+        raise InputError(
+            "split-shares-invalid", f"split: shares must be positive numbers (got {list(shares)})"
+        )
     if abs(float(wanted.sum()) - 1.0) > 1e-9:
-        raise InputError(f"split: shares must sum to 1 (got {wanted.sum():g}); correct one of them")
+        raise InputError(
+            "split-shares-invalid",
+            f"split: shares must sum to 1 (got {wanted.sum():g}); correct one of them",
+        )
     usable = np.flatnonzero(samples.status != FAILED)
     groups, member, size = np.unique(
         samples.sequence[usable], return_inverse=True, return_counts=True
     )
     if len(groups) < len(wanted):
         raise InputError(
+            "split-sequences-too-few",
             f"split: {len(groups)} sequences cannot fill {len(wanted)} parts; a sequence stays in "
-            "one part, so take more presses or fewer parts"
+            "one part, so take more presses or fewer parts",
         )
     order = np.random.default_rng(seed).permutation(len(groups))
     part = np.zeros(len(groups), dtype=np.int64)

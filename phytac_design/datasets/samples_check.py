@@ -134,13 +134,19 @@ def check_values(arrays: Mapping[str, NDArray[Any]], counts: Mapping[str, int], 
         owner, touched = arrays["truth_touch"], arrays.get("touch_sample")
         owned = owner >= 0
         if touched is None or np.any(touched[owner[owned]] != arrays["truth_sample"][owned]):
-            raise _bad(where, "truth_touch names contacts of other samples, or none are there")
+            raise _bad(
+                where,
+                "samples-ids-inconsistent",
+                "truth_touch names contacts of other samples, or none are there",
+            )
     if "key_sample" in arrays:
         _check_pairs("key", arrays, counts["markers"], where)
     if "touch_sample" in arrays:
         found = np.bincount(arrays["touch_sample"], minlength=counts["samples"])
         if not np.array_equal(found, arrays["contacts"]):
-            raise _bad(where, "contacts does not count the rows of touch_sample")
+            raise _bad(
+                where, "samples-counts-differ", "contacts does not count the rows of touch_sample"
+            )
 
 
 def _check_ids(arrays: Mapping[str, NDArray[Any]], counts: Mapping[str, int], where: str) -> None:
@@ -154,9 +160,13 @@ def _check_ids(arrays: Mapping[str, NDArray[Any]], counts: Mapping[str, int], wh
     for name, array in arrays.items():
         top = next((limits[end] for end in limits if name.endswith(end)), None)
         if top is not None and array.max(initial=-1) >= top:
-            raise _bad(where, f"{name} points beyond its {top} entries (got {array.max()})")
+            raise _bad(
+                where,
+                "samples-id-unknown",
+                f"{name} points beyond its {top} entries (got {array.max()})",
+            )
         if name.endswith("_sample") and np.any(np.diff(array) < 0):
-            raise _bad(where, f"{name} is not in the order of the samples")
+            raise _bad(where, "samples-not-ordered", f"{name} is not in the order of the samples")
 
 
 def _check_range(name: str, array: NDArray[Any], where: str) -> None:
@@ -164,17 +174,22 @@ def _check_range(name: str, array: NDArray[Any], where: str) -> None:
     # Only shifts may be missing.
     values = array[~np.isnan(array)] if name == "shift_px" and array.dtype.kind == "f" else array
     if values.dtype.kind == "f" and not np.isfinite(values).all():
-        raise _bad(where, f"{name} holds numbers that are not finite")
+        raise _bad(where, "samples-not-finite", f"{name} holds numbers that are not finite")
     if values.size and (values.min() < stored.low or values.max() > stored.high):
         raise _bad(
             where,
+            "samples-value-range",
             f"{name} must lie within {stored.low:g} and {stored.high:g} "
             f"(got {float(values.min()):g} to {float(values.max()):g})",
         )
     if name == "shift_px":
         gone = array == MISSING if array.dtype.kind == "i" else np.isnan(array)
         if np.any(gone[..., 0] != gone[..., 1]):
-            raise _bad(where, "shift_px lacks one of a marker's two coordinates")
+            raise _bad(
+                where,
+                "samples-shift-incomplete",
+                "shift_px lacks one of a marker's two coordinates",
+            )
 
 
 def _check_status(arrays: Mapping[str, NDArray[Any]], where: str) -> None:
@@ -184,18 +199,22 @@ def _check_status(arrays: Mapping[str, NDArray[Any]], where: str) -> None:
     if len(wrong):
         name = STATUSES[status[wrong[0]]]
         raise _bad(
-            where, f"sample {wrong[0]} is {name} {'with' if name == 'ok' else 'without'} a reason"
+            where,
+            "samples-status-inconsistent",
+            f"sample {wrong[0]} is {name} {'with' if name == 'ok' else 'without'} a reason",
         )
     if "key_sample" in arrays and np.any(status[arrays["key_sample"]] == FAILED):
-        raise _bad(where, "key_sample names failed samples")
+        raise _bad(where, "samples-status-inconsistent", "key_sample names failed samples")
 
 
 def _check_pairs(start: str, arrays: Mapping[str, NDArray[Any]], markers: int, where: str) -> None:
     """Check that there is one row for each pair of sample and marker, ascending."""
     pair = arrays[f"{start}_sample"].astype(np.int64) * markers + arrays[f"{start}_marker"]
     if np.any(np.diff(pair) <= 0):
-        raise _bad(where, f"rows of {start}_marker are double or not in order")
+        raise _bad(
+            where, "samples-not-ordered", f"rows of {start}_marker are double or not in order"
+        )
 
 
-def _bad(where: str, what: str) -> InputError:
-    return InputError(f"{where}: {what}; make the data set again")
+def _bad(where: str, code: str, what: str) -> InputError:
+    return InputError(code, f"{where}: {what}; make the data set again")

@@ -81,9 +81,10 @@ def read_samples(
     table = _read_table(folder)
     if expect_design_hash is not None and table["design_hash"] != expect_design_hash:
         raise InputError(
+            "data-set-other-design",
             f"{folder} is a data set of the design {table['design']!r} with hash "
             f"{str(table['design_hash'])[:12]}…, expected {expect_design_hash[:12]}…; use data of "
-            "this very design, or the design it was made with"
+            "this very design, or the design it was made with",
         )
     try:
         counts = _counts(table, folder)
@@ -94,31 +95,38 @@ def read_samples(
         memory = sum(8 * int(np.prod(shape_of(name, counts), dtype=object)) for name in names)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
+            "data-set-table-invalid",
             f"{folder / TABLE} is not a data set's: {type(error).__name__} {cause_of(error)}; "
-            f"{AGAIN}"
+            f"{AGAIN}",
         ) from None
     if memory > bytes_max:
         raise InputError(
+            "data-set-too-large",
             f"{folder} declares {memory / 2**30:.3g} GiB of arrays, more than the "
-            f"{bytes_max / 2**30:.3g} GiB allowed; raise bytes_max if that is right"
+            f"{bytes_max / 2**30:.3g} GiB allowed; raise bytes_max if that is right",
         )
     data = _read_file(folder, table)
     try:
         arrays = _unpacked(data, names, counts, bytes_max)
     except BROKEN as error:
         raise InputError(
-            f"{folder / FILE} cannot be read ({type(error).__name__}: {cause_of(error)}); {AGAIN}"
+            "data-set-unreadable",
+            f"{folder / FILE} cannot be read ({type(error).__name__}: {cause_of(error)}); {AGAIN}",
         ) from None
     check_values(arrays, counts | {"reasons": len(reasons)}, str(folder))
     for name in meta.frames:
         check_frame(name, counts["samples"], str(folder))
         if check_frames and file_hash(folder / FRAMES / name) != meta.frames[name]:
-            raise InputError(f"{folder / FRAMES / name} is not the picture it was; {AGAIN}")
+            raise InputError(
+                "data-set-picture-altered",
+                f"{folder / FRAMES / name} is not the picture it was; {AGAIN}",
+            )
     try:
         return _samples(arrays, table, counts, reasons), meta
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"{folder / TABLE}: {type(error).__name__} {cause_of(error)}; {AGAIN}"
+            "data-set-table-invalid",
+            f"{folder / TABLE}: {type(error).__name__} {cause_of(error)}; {AGAIN}",
         ) from None
 
 
@@ -128,28 +136,38 @@ def _read_table(folder: Path) -> dict[str, Any]:
         table = json.loads(read_text(path, bytes_max=TABLE_BYTES_MAX))
     except OSError as error:
         raise InputError(
+            "data-set-not-found",
             f"no data set in {folder} ({TABLE}: {error.strerror}); give the folder that "
-            "`phytac simulate` or `phytac import` wrote"
+            "`phytac simulate` or `phytac import` wrote",
         ) from None
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON ({cause_of(error)}); {AGAIN}") from None
+        raise InputError(
+            "data-set-table-invalid", f"{path} is not JSON ({cause_of(error)}); {AGAIN}"
+        ) from None
     if not isinstance(table, dict) or table.get("format") != FORMAT:
-        raise InputError(f"{path} is not a data set's (format is not {FORMAT!r})")
+        raise InputError(
+            "data-set-unknown-format", f"{path} is not a data set's (format is not {FORMAT!r})"
+        )
     version = str(table.get("schema_version")).split(".")
     if len(version) != 2 or not all(part.isdecimal() for part in version):
-        raise InputError(f"{path} has no readable schema_version; {AGAIN}")
+        raise InputError(
+            "data-set-schema-version", f"{path} has no readable schema_version; {AGAIN}"
+        )
     major, minor = map(int, version)
     if major != SCHEMA[0] or minor > SCHEMA[1]:
         raise InputError(
+            "data-set-schema-version",
             f"{path} has schema {major}.{minor}, this version reads {SCHEMA[0]}.0 to "
-            f"{SCHEMA[0]}.{SCHEMA[1]}; get the newest phytac-design or make it again"
+            f"{SCHEMA[0]}.{SCHEMA[1]}; get the newest phytac-design or make it again",
         )
     try:
         same = table.get("checksum") == table_hash(table)
     except (TypeError, ValueError, RecursionError):
         same = False
     if not same:
-        raise InputError(f"{path} was altered: its checksum does not fit; {AGAIN}")
+        raise InputError(
+            "data-set-altered", f"{path} was altered: its checksum does not fit; {AGAIN}"
+        )
     return table
 
 
@@ -157,7 +175,9 @@ def _counts(table: Mapping[str, Any], folder: Path) -> dict[str, int]:
     counts = {name: table["counts"][name] for name in COUNTS}
     for name, count in counts.items():
         if type(count) is not int or not 0 <= count <= COUNT_MAX:
-            raise InputError(f"{folder / TABLE}: counts.{name} is {count!r}; {AGAIN}")
+            raise InputError(
+                "data-set-table-invalid", f"{folder / TABLE}: counts.{name} is {count!r}; {AGAIN}"
+            )
     return counts
 
 
@@ -206,14 +226,22 @@ def _read_file(folder: Path, table: Mapping[str, Any]) -> bytes:
         size, expected = int(table["file"]["bytes"]), _text(table["file"]["sha256"])
         found = path.stat().st_size
         if found != size:
-            raise InputError(f"{path} has {found} bytes, expected {size}: truncated; {AGAIN}")
+            raise InputError(
+                "data-set-altered", f"{path} has {found} bytes, expected {size}: truncated; {AGAIN}"
+            )
         data = read_bytes(path, bytes_max=BYTES_MAX)
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); {AGAIN}") from None
+        raise InputError(
+            "data-set-unreadable", f"{path} cannot be read ({error.strerror}); {AGAIN}"
+        ) from None
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder / TABLE}: file: {cause_of(error)}; {AGAIN}") from None
+        raise InputError(
+            "data-set-table-invalid", f"{folder / TABLE}: file: {cause_of(error)}; {AGAIN}"
+        ) from None
     if sha256(data).hexdigest() != expected:
-        raise InputError(f"{path} was altered: its checksum is not that of {TABLE}; {AGAIN}")
+        raise InputError(
+            "data-set-altered", f"{path} was altered: its checksum is not that of {TABLE}; {AGAIN}"
+        )
     return data
 
 

@@ -77,8 +77,9 @@ def write_samples(
     for name, array in arrays.items():
         if array.shape != shape_of(name, counts):
             raise InputError(
+                "samples-array-shape",
                 f"{where}: {name} has shape {array.shape}, expected {shape_of(name, counts)} for "
-                f"{counts['samples']} samples and {counts['markers']} markers"
+                f"{counts['samples']} samples and {counts['markers']} markers",
             )
     check_values(arrays, counts | {"reasons": len(samples.reasons)}, where)
     for name in frames:
@@ -92,7 +93,9 @@ def write_samples(
         _replace(folder / FILE, packed)
         _replace(folder / TABLE, table)
     except OSError as error:
-        raise OutputError(f"cannot write the data set {folder}: {error.strerror}") from None
+        raise OutputError(
+            "output-not-writable", f"cannot write the data set {folder}: {error.strerror}"
+        ) from None
     return meta
 
 
@@ -101,9 +104,13 @@ def _check_folder(folder: Path) -> None:
     path = folder / TABLE
     try:
         if path.exists() and f'"{FORMAT}"' not in path.read_text(encoding="utf-8"):
-            raise OutputError(f"{path} is not a data set's; choose another folder or remove it")
+            raise OutputError(
+                "output-foreign", f"{path} is not a data set's; choose another folder or remove it"
+            )
     except (OSError, UnicodeDecodeError):
-        raise OutputError(f"{path} is not a data set's; choose another folder") from None
+        raise OutputError(
+            "output-foreign", f"{path} is not a data set's; choose another folder"
+        ) from None
 
 
 def _replace(path: Path, data: bytes) -> None:
@@ -130,7 +137,10 @@ def _stored(
     points = {name: getattr(samples, name) for name in names_of(["points"])}
     if any(value is not None for value in points.values()):
         if any(value is None for value in points.values()):
-            raise InputError(f"{where}: {', '.join(points)} go together; give all or none")
+            raise InputError(
+                "samples-points-incomplete",
+                f"{where}: {', '.join(points)} go together; give all or none",
+            )
         values |= points
         steps["shift_px"] = SHIFT_STEP_PX
     for part, (_, prefix) in ROWS.items():
@@ -161,7 +171,9 @@ def _as_kind(values: NDArray[Any], name: str, where: str) -> NDArray[Any]:
         limits = np.iinfo(kind)
         inside = (limits.min <= values) & (values <= limits.max)
         if values.dtype.kind not in "iub" or not inside.all():
-            raise InputError(f"{where}: {name} must be whole numbers within {kind}")
+            raise InputError(
+                "samples-not-whole-numbers", f"{where}: {name} must be whole numbers within {kind}"
+            )
     return np.ascontiguousarray(values.astype(kind))
 
 
@@ -201,8 +213,9 @@ def check_frame(name: str, samples: int, where: str) -> None:
     found = FRAME.fullmatch(name)
     if found is None or int(found[1]) >= samples:
         raise InputError(
+            "samples-picture-name",
             f"{where}: {name!r} is no picture of its {samples} samples; they are named 000000.png, "
-            "000000_far.png, …"
+            "000000_far.png, …",
         )
 
 
@@ -218,7 +231,7 @@ def file_hash(path: Path) -> str:
         with path.open("rb") as file:
             return file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror})") from None
+        raise InputError("file-unreadable", f"{path} cannot be read ({error.strerror})") from None
 
 
 def table_hash(table: Mapping[str, Any]) -> str:
@@ -273,5 +286,7 @@ def _table(
         table["checksum"] = table_hash(table)
         text = json.dumps(table, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: notes must be plain JSON ({error}); correct them") from None
+        raise InputError(
+            "samples-notes-invalid", f"{where}: notes must be plain JSON ({error}); correct them"
+        ) from None
     return (text + "\n").encode()

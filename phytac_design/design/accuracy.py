@@ -132,7 +132,9 @@ def settings_of(accuracy: str | Accuracy) -> Accuracy:
         return accuracy
     if accuracy not in PRESETS:
         known = ", ".join(PRESETS)
-        raise DesignError(f"unknown accuracy {accuracy!r}; choose one of {known}")
+        raise DesignError(
+            "accuracy-unknown", f"unknown accuracy {accuracy!r}; choose one of {known}"
+        )
     return PRESETS[accuracy]
 
 
@@ -156,7 +158,10 @@ def with_settings(accuracy: Accuracy, assignments: Sequence[str]) -> Accuracy:
             near = get_close_matches(name, kinds, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             known = ", ".join(kinds)
-            raise DesignError(f"no setting {text!r}{hint}; write NAME=VALUE with one of {known}")
+            raise DesignError(
+                "setting-unknown",
+                f"no setting {text!r}{hint}; write NAME=VALUE with one of {known}",
+            )
         change: dict[str, Any] = {name: _value(name, value, kinds[name])}
         accuracy = replace(accuracy, **change)
     return accuracy
@@ -168,8 +173,12 @@ def _value(name: str, text: str, kind: type) -> float:
     try:
         value = truth[text.lower()] if kind is bool else kind(text)
     except (KeyError, ValueError):
-        raise DesignError(f"{name} cannot be {text!r}; it is {kind.__name__}") from None
+        raise DesignError(
+            "setting-invalid", f"{name} cannot be {text!r}; it is {kind.__name__}"
+        ) from None
     low, high = RANGES.get(name, (0.0, 1.0))
     if not low <= value <= high:
-        raise DesignError(f"{name} cannot be {text}; it lies from {low:g} to {high:g}")
+        raise DesignError(
+            "setting-invalid", f"{name} cannot be {text}; it lies from {low:g} to {high:g}"
+        )
     return value

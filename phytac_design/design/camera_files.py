@@ -55,8 +55,9 @@ def read_lens(path: Path) -> Lens:
         text = read_text(path, bytes_max=BYTES_MAX)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
+            "file-unreadable",
             f"camera calibration {path} cannot be read ({cause_of(error)}); give the path of a "
-            "YAML file"
+            "YAML file",
         ) from error
     try:
         if text.lstrip().startswith("%YAML:1.0") or "!!opencv-matrix" in text:
@@ -68,7 +69,8 @@ def read_lens(path: Path) -> Lens:
             return _read_ros(data)
     except RecursionError:
         raise InputError(
-            f"camera calibration {path} is not usable: nested too deeply; {AGAIN}"
+            "lens-file-invalid",
+            f"camera calibration {path} is not usable: nested too deeply; {AGAIN}",
         ) from None
     except BROKEN as error:
         what = (
@@ -77,11 +79,14 @@ def read_lens(path: Path) -> Lens:
             else " ".join(cause_of(error).split())
         )
         raise InputError(
-            f"camera calibration {path} is not usable: {what[:SHOWN]}; {AGAIN}"
+            "lens-file-invalid", f"camera calibration {path} is not usable: {what[:SHOWN]}; {AGAIN}"
         ) from error
     except DesignError as error:
-        raise InputError(f"camera calibration {path} is not usable: {error}") from error
-    raise InputError(f"camera calibration {path} is of no known kind (known: {KNOWN})")
+        raise InputError(error.code, f"camera calibration {path} is not usable: {error}") from error
+    raise InputError(
+        "lens-file-unknown-format",
+        f"camera calibration {path} is of no known kind (known: {KNOWN})",
+    )
 
 
 def calibrated_fields(name: str, folder: str | Path) -> dict[str, Any]:
@@ -123,7 +128,9 @@ def write_lens(lens: Lens, path: Path, file_format: FileFormat, *, name: str = "
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}") from error
+        raise OutputError(
+            "output-not-writable", f"cannot write {path}: {error.strerror}"
+        ) from error
     return path
 
 
@@ -258,7 +265,8 @@ def _ros_text(lens: Lens, name: str) -> str:
     models = {"pinhole": "plumb_bob", "kannala_brandt": "equidistant"}
     if lens.model == "omnidirectional":
         raise DesignError(
-            "ROS camera_info has no omnidirectional model; write it as 'opencv' or 'kalibr'"
+            "lens-not-representable",
+            "ROS camera_info has no omnidirectional model; write it as 'opencv' or 'kalibr'",
         )
     wide = len(lens.distortion) == 8
     models["brown_conrady"] = "rational_polynomial" if wide else "plumb_bob"
@@ -291,8 +299,9 @@ def _kalibr_text(lens: Lens, name: str) -> str:
         camera, numbers, bent = "omni", [lens.distortion[0], *numbers], _padded(lens, 5)[1:]
     if any(bent[4:]):
         raise DesignError(
+            "lens-not-representable",
             "Kalibr's radtan model has k1 k2 p1 p2 only (got a distortion with k3 or more); write "
-            "it as 'opencv' or 'ros'"
+            "it as 'opencv' or 'ros'",
         )
     data = {
         "cam0": {
@@ -309,7 +318,7 @@ def _kalibr_text(lens: Lens, name: str) -> str:
 
 def _dump(data: dict[str, Any]) -> str:
     if not all(math.isfinite(value) for value in _numbers(data)):
-        raise DesignError("the lens holds numbers that are not finite")
+        raise DesignError("lens-not-finite", "the lens holds numbers that are not finite")
     return str(yaml.safe_dump(data, sort_keys=False, default_flow_style=None))
 
 

@@ -141,9 +141,11 @@ def write_new_design(
     own = {"name": name, "description": f"Made from {source}."}
     design = parse_design({**base, **own}, f"new design {name!r}")
     if path.exists():
-        raise OutputError(f"{path} exists already; choose another name or remove it")
+        raise OutputError(
+            "output-exists", f"{path} exists already; choose another name or remove it"
+        )
     try:
         path.write_text(to_toml(design), encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}") from None
+        raise OutputError("output-not-writable", f"cannot write {path}: {error.strerror}") from None
     return path

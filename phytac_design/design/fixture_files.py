@@ -29,17 +29,21 @@ def read_stl(path: Path) -> dict[str, Any]:
         data = read_bytes(path, bytes_max=BYTES_MAX)
     except OSError as error:
         raise DesignError(
-            f"cannot read the fixture {path}: {error.strerror}; file is relative to the design file"
+            "fixture-file-unreadable",
+            f"cannot read the fixture {path}: {error.strerror}; file is relative to the "
+            "design file",
         ) from None
     corners = _corners(data)
     if corners is None or len(corners) == 0 or not np.isfinite(corners).all():
         raise DesignError(
-            f"{path} is not an STL file with triangles; export the fixture as STL (binary or text)"
+            "fixture-file-invalid",
+            f"{path} is not an STL file with triangles; export the fixture as STL (binary or text)",
         )
     if len(corners) > TRIANGLES_MAX:
         raise DesignError(
+            "fixture-too-many-triangles",
             f"{path} has {len(corners)} triangles, more than {TRIANGLES_MAX}; export the fixture "
-            "coarser, its outline is all that matters"
+            "coarser, its outline is all that matters",
         )
     points, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     # Printed with six digits the float32 numbers of the file look as its author wrote them.

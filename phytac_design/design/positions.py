@@ -30,32 +30,40 @@ def read_positions(path: Path) -> dict[str, Any]:
     try:
         text = read_text(path, encoding="utf-8-sig")
     except UnicodeDecodeError:
-        raise DesignError(f"{path} is not a CSV file: it is not text; save it as UTF-8") from None
+        raise DesignError(
+            "positions-file-invalid", f"{path} is not a CSV file: it is not text; save it as UTF-8"
+        ) from None
     except OSError as error:
         raise DesignError(
+            "positions-file-unreadable",
             f"cannot read positions from {path}: {error.strerror}; layout.positions_csv is "
-            "relative to the design file"
+            "relative to the design file",
         ) from None
     try:
         lines = _lines(text)
     except csv.Error as error:
-        raise DesignError(f"{path} is not a CSV file: {error}; save it as u,v lines") from None
+        raise DesignError(
+            "positions-file-invalid", f"{path} is not a CSV file: {error}; save it as u,v lines"
+        ) from None
     if not lines:
         raise DesignError(
+            "positions-empty",
             f"{path} has no positions; write u,v or x_mm,y_mm,z_mm as its first line, then one "
-            "position on each"
+            "position on each",
         )
     (first, names), rows = lines[0], lines[1:]
     place = CHART if set(CHART) <= set(names) else SPACE
     known = {*place, *FURTHER}
     if not set(place) <= set(names) <= known or len(set(names)) != len(names):
         raise DesignError(
+            "positions-columns",
             f"{path}, line {first}: columns must be u,v or x_mm,y_mm,z_mm, then colour and "
-            f"height_mm if wanted (got {','.join(names)[:SHOWN]})"
+            f"height_mm if wanted (got {','.join(names)[:SHOWN]})",
         )
     if not 1 <= len(rows) <= LINES_MAX:
         raise DesignError(
-            f"{path} has {len(rows)} positions; give 1 to {LINES_MAX}, one on each line"
+            "positions-count",
+            f"{path} has {len(rows)} positions; give 1 to {LINES_MAX}, one on each line",
         )
     table = [_row(path, number, names, cells) for number, cells in rows]
     out: dict[str, Any] = {"positions": [[row[name] for name in place] for row in table]}
@@ -79,8 +87,9 @@ def _row(path: Path, number: int, names: list[str], cells: list[str]) -> dict[st
     """One line's cells by name, numbers as numbers."""
     if len(cells) != len(names):
         raise DesignError(
+            "positions-row-length",
             f"{path}, line {number}: {len(names)} cells are needed ({','.join(names)}), got "
-            f"{len(cells)}; correct the line"
+            f"{len(cells)}; correct the line",
         )
     row: dict[str, Any] = {}
     for name, cell in zip(names, cells, strict=True):
@@ -94,7 +103,8 @@ def _row(path: Path, number: int, names: list[str], cells: list[str]) -> dict[st
         if not np.isfinite(value) or (name == "height_mm" and value <= 0.0):
             wanted = "a height above 0" if name == "height_mm" else "a number"
             raise DesignError(
-                f"{path}, line {number}: {name} must be {wanted} (got {cell[:SHOWN]!r})"
+                "positions-value-invalid",
+                f"{path}, line {number}: {name} must be {wanted} (got {cell[:SHOWN]!r})",
             )
         row[name] = value
     return row

@@ -71,8 +71,9 @@ class TomlFileKind:
             near = get_close_matches(name_or_path, shipped, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise DesignError(
+                "toml-file-not-found",
                 f"no {self.noun} {name_or_path!r} ({error.strerror}){hint} "
-                f"(shipped: {', '.join(shipped)}; or give the path of a {self.noun} file)"
+                f"(shipped: {', '.join(shipped)}; or give the path of a {self.noun} file)",
             ) from None
         return self.parse(text, str(path)), str(path)
 
@@ -85,7 +86,7 @@ class TomlFileKind:
 
     def _not_toml(self, where: str, why: str) -> DesignError:
         start = self.template or f"start from a shipped {self.noun} ({', '.join(self.shipped())})"
-        return DesignError(f"{where} is not TOML: {why}; {start}")
+        return DesignError("toml-syntax", f"{where} is not TOML: {why}; {start}")
 
     def validate(
         self, model: type[Model], data: Any, where: str, *, folder: Path | None = None
@@ -105,7 +106,7 @@ class TomlFileKind:
             # A rejected item also makes its list too short: one message is enough.
             kept = (item for item in problems if item["loc"] not in above)
             lines = joined(self._explain(item, model, data) for item in kept)
-            raise DesignError(f"{where}: {lines}") from None
+            raise DesignError("field-invalid", f"{where}: {lines}") from None
 
     def _explain(self, item: Any, model: type[BaseModel], data: Any) -> str:
         """One problem as a sentence: where, what, got, and the fix."""

@@ -170,8 +170,9 @@ def publish(
 
 def _unwritable(error: OSError) -> OutputError:
     return OutputError(
+        "output-not-writable",
         f"cannot write the cache {cache_root()}: {error.strerror}; make room (phytac cache "
-        "--prune 0), or set PHYTAC_CACHE to a folder you may write"
+        "--prune 0), or set PHYTAC_CACHE to a folder you may write",
     )
 
 

@@ -75,7 +75,10 @@ def limit_bytes() -> float:
     except ValueError:
         size = -1.0
     if not (size >= 0.0 and isfinite(size)):
-        raise DesignError(f"PHYTAC_CACHE_GB is {text!r}; it is a size in gigabytes, as in 10")
+        raise DesignError(
+            "cache-size-invalid",
+            f"PHYTAC_CACHE_GB is {text!r}; it is a size in gigabytes, as in 10",
+        )
     return size * GB
 
 

@@ -75,9 +75,10 @@ def check_topology(surface: Surface) -> None:
     open_sides = not surface.periodic[1]
     if surface.periodic[0] or not surface.edges() or (open_sides and any(surface.poles)):
         raise DesignError(
+            "surface-topology-unsupported",
             f"a shell on shape {surface.name!r} cannot be built: it must be a tube (closed around "
             "v, open along u), a dome (a tube with one pole) or a sheet (open both ways), got "
-            f"periodic {surface.periodic} and poles {surface.poles}; choose such a shape"
+            f"periodic {surface.periodic} and poles {surface.poles}; choose such a shape",
         )
 
 
@@ -161,9 +162,10 @@ def _mitre(first: FloatArray, second: FloatArray) -> FloatArray:
     cosine = float(first @ second)
     if cosine < sharpest_cos:
         raise DesignError(
+            "rim-corner-too-sharp",
             "the rim of the patch cannot be built: two of its edges meet at an angle of "
             f"{180.0 - np.degrees(np.arccos(cosine)):.0f}°, less than "
             f"{180.0 - np.degrees(np.arccos(sharpest_cos)):.0f}°; move its corner points "
-            "(shape.points_mm) to a blunter corner"
+            "(shape.points_mm) to a blunter corner",
         )
     return np.asarray((first + second) / (1.0 + cosine))

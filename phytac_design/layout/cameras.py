@@ -66,8 +66,9 @@ def camera_of(design: Design, surface: Surface) -> Camera:
     cameras = cameras_of(design, surface)
     if len(cameras) > 1:
         raise DesignError(
+            "one-camera-only",
             'this step works with one camera (got camera.ends = "both"); set camera.ends = "near" '
-            'or "far"'
+            'or "far"',
         )
     return cameras[0]
 
@@ -103,8 +104,9 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
     lens = section.lens()
     if end == 1 and not open_far(surface):
         raise DesignError(
+            "camera-end-closed",
             f"no camera can look in from the far end: the {surface.name} is not open there (got "
-            f'camera.ends = "{section.ends}"); set camera.ends = "near"'
+            f'camera.ends = "{section.ends}"); set camera.ends = "near"',
         )
     rim = edge_mm(surface, end, -design.wall.thickness_mm)
     sign = 1.0 if end == 0 else -1.0
@@ -123,18 +125,20 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
     plane = float((sign * rim[:, 2]).min() * sign)
     if sign * z >= sign * plane:
         raise DesignError(
+            "camera-inside-sensor",
             f"the camera stands inside the sensor: its centre is at z = {z:.2f} mm, at or beyond "
             f"the {side} rim's plane at z = {plane:.2f} mm (got stand_off_mm = {stand_off:g}); "
-            f"{fix}"
+            f"{fix}",
         )
     _check_wall(design, surface, camera, fix)
     # The span is not needed without a bar.
     near, far = bar_span_mm(design, surface) if design.light.bar_radius_mm > 0.0 else (0.0, 0.0)
     if near < far and near <= z <= far:
         raise DesignError(
+            "camera-inside-light-bar",
             f"the camera stands inside the light bar: the bar starts at z = "
             f"{far if end else near:.2f} mm, the camera's centre is at z = {z:.2f} mm; raise "
-            f"light.bar_start_mm above {-stand_off:.2f}"
+            f"light.bar_start_mm above {-stand_off:.2f}",
         )
     where = f"stand-off {stand_off:.2f} mm, focal length {camera.focal_px:g} px"
     if not camera.sees(rim).all():
@@ -193,8 +197,9 @@ def _check_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> N
     height = float(np.sum((centre - surface.point(foot)) * surface.normal(foot)))
     if bool(within.all()) and -design.wall.thickness_mm <= height <= 0.0:
         raise DesignError(
+            "camera-inside-wall",
             f"the camera stands inside the shell wall ({-height:.2f} mm below the outer face, the "
-            f"wall is {design.wall.thickness_mm:g} mm thick); {fix}"
+            f"wall is {design.wall.thickness_mm:g} mm thick); {fix}",
         )
 
 
@@ -203,14 +208,16 @@ def _raise_rim_hidden(camera: Camera, rim: FloatArray, side: str, where: str, fi
     pixels = camera.project(rim)
     if np.isnan(pixels).any():
         raise DesignError(
+            "rim-outside-view",
             f"the camera cannot see the {side} rim: part of it lies beyond the lens's field of "
-            f"{np.rad2deg(camera.lens.field_rad):.1f}° from the axis ({where}); {fix}"
+            f"{np.rad2deg(camera.lens.field_rad):.1f}° from the axis ({where}); {fix}",
         )
     reach = np.abs(pixels - camera.centre_px).max(axis=0)
     raise DesignError(
+        "rim-outside-view",
         f"the camera cannot see the {side} rim: it projects {reach[0]:.0f} x {reach[1]:.0f} px "
         f"from the image centre, the image ends at {camera.width_px / 2:.0f} x "
-        f"{camera.height_px / 2:.0f} px ({where}); {fix}"
+        f"{camera.height_px / 2:.0f} px ({where}); {fix}",
     )
 
 
@@ -229,9 +236,10 @@ def check_bar_clearance(design: Design, surface: Surface, markers: Markers) -> N
     if least <= radius:
         row = int(markers.row[distance.min(axis=0).argmin()])
         raise DesignError(
+            "light-bar-hits-tips",
             f"the light bar intersects receptor tips: in row {row} a tip with its switch on comes "
             f"within {least:.2f} mm of the axis, the bar's radius is {radius:g} mm; lower "
-            f"light.bar_radius_mm below {least:.2f} or layout.height_far_mm"
+            f"light.bar_radius_mm below {least:.2f} or layout.height_far_mm",
         )
 
 

@@ -58,8 +58,9 @@ def directions(design: Design, surface: Surface, uv: FloatArray, normal: FloatAr
     worst = int(np.argmin(cosine))
     if cosine[worst] < lean_max:
         raise DesignError(
+            "receptor-direction-too-oblique",
             f"receptors towards the axis would lie in the wall of the {surface.name} (marker "
             f"{worst} leans {np.degrees(np.arccos(np.clip(cosine[worst], -1.0, 1.0))):.0f}° from "
-            "the wall's normal, at most 60°); set receptor.direction to 'normal'"
+            "the wall's normal, at most 60°); set receptor.direction to 'normal'",
         )
     return np.asarray(out)

@@ -49,8 +49,9 @@ def make_lattice(design: Design, surface: Surface) -> Lattice:
     if layout.kind == "spiral":
         if not surface.periodic[1]:
             raise DesignError(
+                "spiral-on-open-surface",
                 f"a spiral needs a surface that closes around, the {surface.name} does not (got "
-                "layout.kind = 'spiral'); set layout.kind to 'straight' or 'phyllotaxis'"
+                "layout.kind = 'spiral'); set layout.kind to 'straight' or 'phyllotaxis'",
             )
         turn = np.cumsum(_row_shifts(design, surface, rows_u))
         phase = start + np.concatenate([[0.0], turn])
@@ -67,8 +68,9 @@ def _row_shifts(design: Design, surface: Surface, rows_u: FloatArray) -> FloatAr
     if layout.spiral_from == "circumference":
         if abs(layout.spiral_angle_deg) < 1.0:
             raise DesignError(
+                "spiral-angle-too-small",
                 "a spiral along the circumference never leaves its row (got "
-                f"layout.spiral_angle_deg = {layout.spiral_angle_deg:g}); raise it to 1 or more"
+                f"layout.spiral_angle_deg = {layout.spiral_angle_deg:g}); raise it to 1 or more",
             )
         tangent = 1.0 / tangent
     return np.asarray(step_mm * tangent / np.sqrt(metric[:, 1, 1]))

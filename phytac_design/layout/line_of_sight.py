@@ -89,9 +89,10 @@ class _Outlines:
         ahead = self.sign * points[..., 2:]
         if float(ahead.min()) <= SETTINGS.depth_min_mm:
             raise DesignError(
+                "receptor-behind-camera",
                 "line-of-sight heights need all receptors in front of the camera (one reaches "
                 f"{-ahead.min():.2f} mm behind its plane); raise camera.stand_off_mm or set "
-                "layout.heights to 'linear'"
+                "layout.heights to 'linear'",
             )
         return np.asarray((points[..., :2] / ahead @ self.along).max(axis=2))
 
@@ -200,12 +201,13 @@ def sight_heights_mm(
             heights = _least_heights(design, markers, camera_mm, needed)
         except DesignError as error:
             text = f"with the wall pressed in {error}, or layout.sight_dent_mm"
-            raise DesignError(text) from None
+            raise DesignError(error.code, text) from None
     worst = int(short.argmax())
     raise DesignError(
+        "no-heights-under-load",
         f"no heights keep {margin:g} mm clear under load ({markers.place(worst)} keeps "
         f"{margin - short[worst]:.2f} mm); lower layout.sight_margin_mm or layout.sight_dent_mm, "
-        "or use fewer markers"
+        "or use fewer markers",
     )
 
 
@@ -267,10 +269,11 @@ def _least_heights(
             marker = int(slack[:, level].argmin())
             best, wanted = float(slack[marker, level]), float(margin[marker, 0])
             raise DesignError(
+                "receptors-always-hidden",
                 f"receptors of {markers.place(int(group[0]))} are hidden by nearer ones at every "
                 f"height up to {levels[-1]:g} mm (best clearance {best + wanted:.2f} mm, wanted "
                 f"{wanted:.3g} mm); raise layout.height_far_mm, or lower "
-                "layout.sight_margin_mm, receptor.band_marker_mm or the number of markers"
+                "layout.sight_margin_mm, receptor.band_marker_mm or the number of markers",
             )
         high = levels[clear[0]]
         if clear[0] > 0:

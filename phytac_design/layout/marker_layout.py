@@ -143,8 +143,9 @@ def _assemble(
         height_mm, lattice = height_mm[keep], None
     if len(uv) == 0:
         raise DesignError(
+            "no-markers",
             f"no marker lies on a sensing part of the {surface.name}; raise layout.columns (or "
-            "layout.count), or let more of its faces sense"
+            "layout.count), or let more of its faces sense",
         )
     normal = surface.normal(uv)
     direction = directions(design, surface, uv, normal)

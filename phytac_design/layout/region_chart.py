@@ -58,7 +58,7 @@ def design_regions(design: Design) -> tuple[Region, ...]:
     try:
         return resolve_regions(tables, "", position_mm, chart_of(surface, markers))
     except InputError as error:
-        raise DesignError(str(error)) from None
+        raise DesignError(error.code, str(error)) from None
 
 
 def bundle_regions(
@@ -93,7 +93,8 @@ def bundle_regions(
         if design is None:
             return load_regions(path, bundle.position_mm)
         raise InputError(
+            "decoder-of-other-design",
             f"the decoder in {folder} was made for {bundle.design!r} as it was built, and {design} "
-            "is another design; give the design.toml of its build"
+            "is another design; give the design.toml of its build",
         )
     return load_regions(path, bundle.position_mm, chart_of_design(loaded))

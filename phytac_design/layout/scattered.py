@@ -47,8 +47,9 @@ def explicit(design: Design, surface: Surface) -> tuple[FloatArray, IntArray]:
         worst = int(np.argmax(off))
         if not off[worst] <= off_face_mm:
             raise DesignError(
+                "position-off-surface",
                 f"layout.positions: position {worst + 1} lies {off[worst]:.2f} mm from the outer "
-                f"face of the {surface.name} (at most {off_face_mm:g} mm); correct it"
+                f"face of the {surface.name} (at most {off_face_mm:g} mm); correct it",
             )
     low, high = surface.domain.T
     tol = 1e-9 * (high - low)
@@ -58,9 +59,10 @@ def explicit(design: Design, surface: Surface) -> tuple[FloatArray, IntArray]:
     if bad.size:
         worst = int(bad[0])
         raise DesignError(
+            "position-off-surface",
             f"layout.positions: position {worst + 1} lies off the surface (u = {uv[worst, 0]:g}, v "
             f"= {uv[worst, 1]:g}; u goes from {low[0]:g} to {high[0]:g}, v from {low[1]:g} to "
-            f"{high[1]:g}); correct it"
+            f"{high[1]:g}); correct it",
         )
     inside = np.where(periodic, low + np.mod(uv - low, high - low), np.clip(uv, low, high))
     order = np.argsort(inside[:, 0], kind="stable")

@@ -22,14 +22,16 @@ def thresholds_N(design: Design, markers: Markers) -> FloatArray:
         if region.rows:
             if not markers.in_rows:
                 raise DesignError(
+                    "layout-without-rows",
                     f"{where}.rows: this layout has no rows (kind {design.layout.kind!r}); name "
-                    "the region's markers instead"
+                    "the region's markers instead",
                 )
             last = int(markers.row.max())
             if region.rows[1] > last:
                 raise DesignError(
+                    "row-out-of-range",
                     f"{where}.rows: the layout has rows 0 to {last} (got {list(region.rows)}); "
-                    f"end at {last} or before"
+                    f"end at {last} or before",
                 )
             inside = (markers.row >= region.rows[0]) & (markers.row <= region.rows[1])
             out[inside] = region.threshold_N
@@ -37,8 +39,9 @@ def thresholds_N(design: Design, markers: Markers) -> FloatArray:
             most = max(region.markers)
             if most >= markers.count:
                 raise DesignError(
+                    "marker-out-of-range",
                     f"{where}.markers: the layout has markers 0 to {markers.count - 1} (got "
-                    f"{most}); leave out those beyond"
+                    f"{most}); leave out those beyond",
                 )
             out[list(region.markers)] = region.threshold_N
     return out

@@ -159,17 +159,19 @@ def check_paints(design: Design) -> Separability:
     if found.hue_sigmas[worst] < sigmas_min or found.uv_distance[worst] < uv_min:
         first, second = (found.names[i] for i in found.pairs[worst])
         raise DesignError(
+            "paints-not-separable",
             f"{first} and {second} cannot be distinguished: {found.uv_distance[worst]:.3f} in u'v' "
             f"(at least {uv_min:g}), {found.hue_sigmas[worst]:.1f} standard deviations of a pixel "
             f"in the shade (at least {sigmas_min:g}); choose other layout.colours or lower "
-            "camera.noise_pixel"
+            "camera.noise_pixel",
         )
     faint = int(np.argmin(found.floor_sigmas))
     if found.floor_sigmas[faint] < sigmas_min:
         raise DesignError(
+            "paint-like-resin",
             f"{found.names[faint]} in the shade cannot be distinguished from bare resin: "
             f"{found.floor_sigmas[faint]:.1f} standard deviations of a pixel (at least "
-            f"{sigmas_min:g}); choose other layout.colours or lower camera.noise_pixel"
+            f"{sigmas_min:g}); choose other layout.colours or lower camera.noise_pixel",
         )
     return found
 

@@ -88,9 +88,10 @@ def sharpness(
     distance = np.where(camera.lens.in_field(points), distance, np.nan)
     if not np.isfinite(distance).any():
         raise DesignError(
+            "no-marker-in-view",
             "no marker lies in the lens's field of "
             f"{np.degrees(camera.lens.field_rad):.1f}° from the axis; move the camera back "
-            "(camera.stand_off_mm) or use a wider lens"
+            "(camera.stand_off_mm) or use a wider lens",
         )
     near, far = float(np.nanmin(distance)), float(np.nanmax(distance))
     # Blur grows with |1/d - 1/s|: the harmonic mean blurs near and far markers alike.
@@ -98,8 +99,9 @@ def sharpness(
     focal = section.focal_px * section.pixel_um / 1000.0
     if focus <= focal:
         raise DesignError(
+            "focus-within-focal-length",
             f"nothing is sharp: camera.focus_mm = {focus:g} mm lies within the focal length of "
-            f"{focal:.3g} mm (focal_px · pixel_um); raise focus_mm"
+            f"{focal:.3g} mm (focal_px · pixel_um); raise focus_mm",
         )
     spread_px = focal**2 / section.f_number / (focus - focal) / (section.pixel_um / 1000.0)
     share = 1.0 / spread_px

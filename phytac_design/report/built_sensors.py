@@ -154,13 +154,15 @@ def _read(folder: Path) -> Build:
         }
     except OSError as error:
         raise InputError(
+            "build-incomplete",
             f"{folder} is no whole build ({error.filename}: {error.strerror}); make it with "
-            "`phytac build DESIGN`, without --only and --scene"
+            "`phytac build DESIGN`, without --only and --scene",
         ) from None
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
         raise InputError(
+            "build-report-invalid",
             f"{folder} cannot be compared: its report is damaged or of another version "
-            f"({type(error).__name__}: {str(error)[:80]}); build it again"
+            f"({type(error).__name__}: {str(error)[:80]}); build it again",
         ) from None
     return Build(
         label=str(report["design"]),

@@ -35,9 +35,10 @@ def check_fixtures(sensor: Sensor) -> None:
         # In a dome the bar's end is fitted to the wall by a few rays only.
         if depth > FINE * design.wall.thickness_mm:
             refuse(
+                "light-bar-in-wall",
                 f"the light bar reaches {_mm(depth)} into the wall at {_at(place)} (radius "
                 f"{design.light.bar_radius_mm:g} mm); lower light.bar_radius_mm, or set it to 0 "
-                "for no bar"
+                "for no bar",
             )
     for fixture in design.fixtures:
         mesh = fixture_mesh(fixture, tolerance_mm=tolerance)
@@ -47,8 +48,9 @@ def check_fixtures(sensor: Sensor) -> None:
             through = depth >= design.wall.thickness_mm * (1.0 - TOUCH)
             how = "goes through the wall" if through else f"reaches {_mm(depth)} into the wall"
             refuse(
+                "fixture-in-wall",
                 f"the fixture {fixture.name!r} {how} ({design.wall.thickness_mm:g} mm thick) at "
-                f"{_at(place)}; move it inward or make it smaller"
+                f"{_at(place)}; move it inward or make it smaller",
             )
 
 
@@ -73,9 +75,10 @@ def _check_receptors(design: Design, markers: Markers, mesh: TriangleMesh, name:
         more = int(met.sum()) - 1
         others = f", and {more} more by less" if more else ""
         refuse(
+            "fixture-overlaps-receptor",
             f"the fixture {name!r} overlaps the {what} {markers.name(worst)} by "
             f"{_mm(depth[worst])}{others}; move it away from there by more than that, make it "
-            "smaller, or lower the receptors' height"
+            "smaller, or lower the receptors' height",
         )
 
 
@@ -153,15 +156,17 @@ def check_cameras(sensor: Sensor) -> None:
             inside = bool(within(centre[None], mesh)[0])
             if inside or gap <= TOUCH * design.wall.thickness_mm:
                 refuse(
+                    "camera-on-fixture",
                     f"the camera stands {'inside' if inside else 'on'} the fixture {name!r} "
                     f"({place}, {_mm(gap)} {'below' if inside else 'from'} its surface); move "
-                    "the fixture or change camera.stand_off_mm"
+                    "the fixture or change camera.stand_off_mm",
                 )
         below, on_wall, _ = _below_inner_face(surface, design.wall.thickness_mm, centre[None])
         if on_wall[0] and below[0] >= 0.0:
             refuse(
+                "camera-inside-wall",
                 f"the camera stands in or behind the wall ({place}, {_mm(below[0])} beyond the "
-                "inner face); raise camera.stand_off_mm by more than that"
+                "inner face); raise camera.stand_off_mm by more than that",
             )
 
 
@@ -178,9 +183,10 @@ def _check_tubes(design: Design, markers: Markers, centre: FloatArray, place: st
         worst = int(hit[aside[hit].argmin()])
         reach = markers.height_mm[worst] + out - along[worst]
         refuse(
+            "camera-inside-receptor",
             f"the camera stands inside the receptor {markers.name(worst)} ({place}, "
             f"{_mm(aside[worst])} from the tube's axis and {_mm(reach)} below where its red tip "
-            'comes out to); raise camera.stand_off_mm by more than that, or set it to "fit"'
+            'comes out to); raise camera.stand_off_mm by more than that, or set it to "fit"',
         )
 
 

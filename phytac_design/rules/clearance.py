@@ -23,8 +23,9 @@ def check_wall(design: Design, surface: Surface) -> None:
         limit = ROUND.get(surface.name, "smallest radius of curvature")
         more = " or raise shape.edge_radius_mm" if surface.name == "cuboid" else ""
         refuse(
+            "wall-too-thick",
             f"the wall is thicker than the {surface.name} allows (thickness {thickness:g} mm ≥ "
-            f"{limit} {reach:g} mm); lower wall.thickness_mm below {reach:g}{more}"
+            f"{limit} {reach:g} mm); lower wall.thickness_mm below {reach:g}{more}",
         )
 
 
@@ -43,8 +44,9 @@ def check_heights(sensor: Sensor) -> None:
         where = "at the axis" if round_about else "where the wall's normals meet"
         limit = "inner radius" if round_about else "depth there"
         refuse(
+            "tips-collide",
             f"receptor tips of {markers.place(worst)} collide {where} (height {height:.1f} mm ≥ "
-            f"{limit} {free:.1f} mm); {fix}"
+            f"{limit} {free:.1f} mm); {fix}",
         )
 
 
@@ -57,10 +59,11 @@ def check_reach(sensor: Sensor) -> None:
         if free[worst] < least - SLACK_mm:
             fix = lower_heights(sensor)
             refuse(
+                "light-bar-hits-tips",
                 f"{what} tips of {markers.place(worst)} reach the light bar (they end "
                 f"{free[worst]:.1f} mm from the axis, height {markers.height_mm[worst]:.1f} mm; "
                 f"the bar of radius {bar:g} mm needs {least:.1f} mm); "
-                f"{fix or 'lower the heights'}, or lower light.bar_radius_mm"
+                f"{fix or 'lower the heights'}, or lower light.bar_radius_mm",
             )
 
 

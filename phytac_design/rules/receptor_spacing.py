@@ -77,9 +77,10 @@ def check_ends(sensor: Sensor) -> None:
                     f"lower layout.{'columns' if axis else 'rows'} or {field}",
                 )
                 refuse(
+                    "receptor-cuts-rim",
                     f"receptor {markers.name(worst)} lies {distance[worst]:.2f} mm from the {edge} "
                     f"of the surface, less than the radius of its {what} ({radius:.2f} mm): it "
-                    f"cuts the rim; {fix}"
+                    f"cuts the rim; {fix}",
                 )
 
 
@@ -100,9 +101,10 @@ def check_receptor_gaps(sensor: Sensor) -> None:
     spacing = fewer(design, "columns" if one_row else "rows or columns")
     fix = lower_heights(sensor)
     refuse(
+        "receptors-too-close",
         f"receptors {first} and {second} meet: they {state} (the printer needs a gap of "
         f"{least:g} mm); {fix + ', or ' if fix else ''}{spacing} "
-        "receptor.diameter_outer_mm"
+        "receptor.diameter_outer_mm",
     )
 
 
@@ -115,7 +117,8 @@ def check_footprints(sensor: Sensor) -> None:
     size = design.switch.footprint_diameter_mm
     if apart < size - SLACK_mm:
         refuse(
+            "switches-overlap",
             f"switches {markers.name(low)} and {markers.name(high)} overlap on the outer face "
             f"(footprint {size:g} mm, centres {apart:.2f} mm apart); {fewer(design)} "
-            f"switch.footprint_diameter_mm to {np.floor(apart * 10.0) / 10.0:g}"
+            f"switch.footprint_diameter_mm to {np.floor(apart * 10.0) / 10.0:g}",
         )

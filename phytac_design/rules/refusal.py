@@ -9,9 +9,9 @@ SLACK_mm = 1e-9
 """Lengths that meet a rule exactly pass in spite of rounding."""
 
 
-def refuse(text: str) -> NoReturn:
+def refuse(code: str, text: str) -> NoReturn:
     """Raise the error of a broken rule."""
-    raise DesignError(text)
+    raise DesignError(code, text)
 
 
 def fewer(design: Design, what: str = "rows or layout.columns") -> str:

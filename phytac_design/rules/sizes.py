@@ -18,8 +18,9 @@ def check_sizes(design: Design) -> None:
     count = design.layout.wanted
     if count > MARKERS_MAX:
         refuse(
+            "too-many-markers",
             f"{design.layout.rows} rows x {design.layout.columns} columns are {count} markers, "
-            f"more than {MARKERS_MAX}; lower layout.rows or layout.columns"
+            f"more than {MARKERS_MAX}; lower layout.rows or layout.columns",
         )
     outer, hole, tip = (
         receptor.diameter_outer_mm,
@@ -28,32 +29,37 @@ def check_sizes(design: Design) -> None:
     )
     if design.wall.thickness_mm < rules.wall_min_mm - SLACK_mm:
         refuse(
+            "wall-too-thin",
             f"the wall is too thin to print ({design.wall.thickness_mm:g} mm < "
-            f"{rules.wall_min_mm:g} mm); raise wall.thickness_mm to {rules.wall_min_mm:g}"
+            f"{rules.wall_min_mm:g} mm); raise wall.thickness_mm to {rules.wall_min_mm:g}",
         )
     if hole < rules.hole_min_mm - SLACK_mm:
         refuse(
+            "hole-too-small",
             f"the receptors' holes would close in printing ({hole:g} mm < "
-            f"{rules.hole_min_mm:g} mm); raise receptor.diameter_hole_mm to {rules.hole_min_mm:g}"
+            f"{rules.hole_min_mm:g} mm); raise receptor.diameter_hole_mm to {rules.hole_min_mm:g}",
         )
     if hole >= outer:
         refuse(
+            "hole-exceeds-tube",
             f"the receptors' hole is not smaller than the tube (hole {hole:g} mm ≥ outer "
-            f"{outer:g} mm); lower receptor.diameter_hole_mm or raise receptor.diameter_outer_mm"
+            f"{outer:g} mm); lower receptor.diameter_hole_mm or raise receptor.diameter_outer_mm",
         )
     side = (outer - hole) / 2.0
     if side < rules.wall_min_mm - SLACK_mm:
         refuse(
+            "tube-wall-too-thin",
             f"the receptors' tube walls are too thin to print ({side:.2f} mm < "
             f"{rules.wall_min_mm:g} mm); raise receptor.diameter_outer_mm to "
-            f"{hole + 2.0 * rules.wall_min_mm:g} or lower receptor.diameter_hole_mm"
+            f"{hole + 2.0 * rules.wall_min_mm:g} or lower receptor.diameter_hole_mm",
         )
     if hole - tip < rules.gap_min_mm - SLACK_mm:
         refuse(
+            "tip-clearance-too-small",
             f"the switch's tip does not pass the receptor's hole (tip {tip:g} mm in a hole of "
             f"{hole:g} mm leaves {hole - tip:.2f} mm < {rules.gap_min_mm:g} mm); lower "
             f"switch.tip_diameter_mm to {hole - rules.gap_min_mm:g} or raise "
-            "receptor.diameter_hole_mm"
+            "receptor.diameter_hole_mm",
         )
     _check_switch(design)
 
@@ -62,20 +68,23 @@ def _check_switch(design: Design) -> None:
     switch, hole = design.switch, design.receptor.diameter_hole_mm
     if switch.release_N >= switch.threshold_N:
         refuse(
+            "release-above-threshold",
             f"a switch must release below its threshold (release {switch.release_N:g} N ≥ "
-            f"threshold {switch.threshold_N:g} N); lower switch.release_N"
+            f"threshold {switch.threshold_N:g} N); lower switch.release_N",
         )
     if switch.stroke_mm <= switch.tip_recess_mm:
         refuse(
+            "stroke-below-recess",
             f"the red tip never comes out (stroke {switch.stroke_mm:g} mm ≤ recess "
             f"{switch.tip_recess_mm:g} mm); raise switch.stroke_mm above "
-            f"{switch.tip_recess_mm:g}"
+            f"{switch.tip_recess_mm:g}",
         )
     if switch.footprint_diameter_mm <= hole:
         refuse(
+            "footprint-below-hole",
             f"the switch's bowl does not cover the hole (footprint "
             f"{switch.footprint_diameter_mm:g} mm ≤ hole {hole:g} mm); raise "
-            f"switch.footprint_diameter_mm above {hole:g}"
+            f"switch.footprint_diameter_mm above {hole:g}",
         )
 
 
@@ -86,17 +95,19 @@ def check_training(sensor: Sensor) -> None:
     size = min(float(surface.reach_mm(markers.uv).max()), _half_size_mm(surface))
     if training.patch_radius_max_mm > size + SLACK_mm:
         refuse(
+            "patch-exceeds-sensor",
             f"contact patches are larger than the sensor (radius {training.patch_radius_max_mm:g} "
-            f"mm > {size:g} mm); lower training.patch_radius_max_mm"
+            f"mm > {size:g} mm); lower training.patch_radius_max_mm",
         )
     share = min(1.0, switch.footprint_diameter_mm / (2.0 * training.patch_radius_min_mm)) ** 2
     most = share * training.force_max_N
     threshold = float(thresholds_N(design, markers).min())
     if most <= threshold:
         refuse(
+            "threshold-unreachable",
             f"no contact can trip a switch: the strongest one ({training.force_max_N:g} N) puts "
             f"{most:.3g} N on a switch's footprint, its threshold is {threshold:g} N; "
-            f"lower switch.threshold_N below {most:.3g} or raise training.force_max_N"
+            f"lower switch.threshold_N below {most:.3g} or raise training.force_max_N",
         )
 
 

@@ -70,8 +70,9 @@ def condense(slope: FloatArray, *, normal: FloatArray, motion: FloatArray) -> Co
     if not np.isfinite(compliance_px).all():
         marker = int(np.flatnonzero(~np.isfinite(compliance_px).all(axis=(1, 2)))[0])
         raise NumericalError(
+            "marker-not-seen",
             f"marker {marker}: the shift of its image is not finite: the camera does not see it; "
-            "run `phytac check` on the design"
+            "run `phytac check` on the design",
         )
     shift_to_mm, sensitivity = observable(slope[:, :, :3], normal)
     seen = np.flatnonzero(shift_to_mm.any(axis=1))
@@ -87,15 +88,17 @@ def condense(slope: FloatArray, *, normal: FloatArray, motion: FloatArray) -> Co
     if still.any():
         marker = int(np.argmax(still))
         raise NumericalError(
+            "marker-force-unobservable",
             f"marker {marker}: pressing it moves no marker's image: the camera looks along its "
-            "normal, so its force cannot be read; place more markers beside it"
+            "normal, so its force cannot be read; place more markers beside it",
         )
     apparent = np.einsum("ni,nim->nm", shift_to_mm, compliance_px)[np.ix_(seen, seen)]
     condition = float(np.linalg.cond(apparent)) if len(seen) else 1.0
     if not condition < CONDITION_MAX:
         raise NumericalError(
+            "compliance-singular",
             f"the markers' compliance cannot be inverted (condition {condition:.2g}): markers "
-            "are too close for the wall's thickness; use fewer rows or columns"
+            "are too close for the wall's thickness; use fewer rows or columns",
         )
     stiffness = np.zeros((len(normal), len(normal)))
     stiffness[np.ix_(seen, seen)] = np.linalg.inv(apparent)

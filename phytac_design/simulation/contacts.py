@@ -169,9 +169,10 @@ def _places(
         empty = 0 if len(uv) else empty + 1
         if empty == EMPTY_DRAWS_MAX:
             raise DesignError(
+                "no-contact-drawn",
                 "no contact can be drawn: none of the "
                 f"{EMPTY_DRAWS_MAX * PLACES_PER_DRAW} places drawn lies in the "
-                "given regions; widen along and around"
+                "given regions; widen along and around",
             )
         yield from zip(uv, surface.point(uv), strict=True)
 

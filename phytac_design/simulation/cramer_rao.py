@@ -119,9 +119,10 @@ class ContactSignals:
         sizes = (noise_px, prior.place_mm, prior.radius_mm, float(force.min(initial=1.0)))
         if not all(size > 0.0 for size in sizes):
             raise NumericalError(
+                "bound-input-not-positive",
                 f"a bound needs noise, prior and forces above zero (got noise {sizes[0]:g} px, "
                 f"place {sizes[1]:g} mm, radius {sizes[2]:g} mm, force {sizes[3]:g} N); raise "
-                "camera.noise_centroid_px or training.force_min_N"
+                "camera.noise_centroid_px or training.force_min_N",
             )
         G = np.concatenate([self.shift[:, :, None], force[:, None, None] * self.slopes], axis=2)
         information = np.swapaxes(G, 1, 2) @ G / noise_px**2
@@ -169,8 +170,9 @@ def contact_signals(
     per_N = shifts(places, radii).reshape(7, count, -1)
     if not np.all(np.isfinite(per_N)):
         raise NumericalError(
+            "marker-not-seen",
             "a marker's image shift is not finite: a marker is not seen by the camera; run "
-            "`phytac check` on the design"
+            "`phytac check` on the design",
         )
     spans = (
         _span(surface, steps[0], steps[1]),

@@ -211,8 +211,9 @@ def tabulate_responses(
         wanted = np.flatnonzero(_wanted(ring.uv, apart_mm, near))
         if len(wanted) < PLACES_MIN:
             raise DesignError(
+                "response-places-too-few",
                 f"the given part of the surface holds {len(wanted)} places of the tables, "
-                f"{apart_mm:.2g} mm apart; it takes {PLACES_MIN}: widen it"
+                f"{apart_mm:.2g} mm apart; it takes {PLACES_MIN}: widen it",
             )
         row = np.full(len(ring.uv), -1)
         row[wanted] = np.arange(len(wanted))

@@ -61,8 +61,9 @@ def shell_cad(sensor: Sensor) -> Any:
     solids = wall.fuse(*tubes).cut(*holes).Solids()
     if len(solids) != 1:
         raise CadKernelError(
+            "cad-fuse-failed",
             f"OpenCASCADE cannot fuse receptors and wall: {len(solids)} solids instead of 1; the "
-            "printed meshes are made without it"
+            "printed meshes are made without it",
         )
     return solids[0]
 
@@ -114,7 +115,10 @@ def write_step(solid: Any, path: Path, *, name: str = "shell") -> None:
     Interface_Static.SetCVal_s("write.step.product.name", name)
     writer.Transfer(solid.wrapped, STEPControl_AsIs)
     if writer.Write(str(path)) != IFSelect_RetDone:
-        raise OutputError(f"cannot write STEP file {path}; check that the folder is writable")
+        raise OutputError(
+            "output-not-writable",
+            f"cannot write STEP file {path}; check that the folder is writable",
+        )
     text = path.read_text(encoding="latin-1")
     head, data = text.split("DATA;", 1)
     head = re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", f"'{STEP_DATE}'", head)
@@ -160,9 +164,14 @@ def write_assembly(bodies: Sequence[CadBody], path: Path, *, name: str) -> None:
     try:
         whole.export(str(path), "STEP", write_pcurves=False)
     except (ValueError, RuntimeError, OSError) as error:
-        raise OutputError(f"cannot write STEP file {path}: {error}") from None
+        raise OutputError(
+            "output-not-writable", f"cannot write STEP file {path}: {error}"
+        ) from None
     if not path.is_file():
-        raise OutputError(f"cannot write STEP file {path}; check that the folder is writable")
+        raise OutputError(
+            "output-not-writable",
+            f"cannot write STEP file {path}; check that the folder is writable",
+        )
     text = path.read_text(encoding="latin-1")
     head, data = text.split("DATA;", 1)
     head = re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", f"'{STEP_DATE}'", head)
@@ -191,8 +200,9 @@ def _coloured(data: str, colours: Sequence[tuple[float, float, float]]) -> str:
     )
     if len(shapes) != len(colours):
         raise NumericalError(
+            "step-assembly-incomplete",
             f"the STEP assembly holds {len(shapes)} shapes instead of {len(colours)}; please "
-            "report this design"
+            "report this design",
         )
     solid = set(re.findall(r"#(\d+)\s*=\s*(?:MANIFOLD_SOLID_BREP|BREP_WITH_VOIDS)", data))
     lines, used = [], max(numbers)

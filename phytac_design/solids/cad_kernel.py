@@ -17,7 +17,8 @@ def cadquery() -> Any:
         import cadquery
     except ImportError as error:
         raise MissingPartError(
+            "missing-library",
             f"no CAD: cadquery cannot be imported ({error}); on Debian/Ubuntu: "
-            "sudo apt-get install libgl1 libxrender1"
+            "sudo apt-get install libgl1 libxrender1",
         ) from error
     return cadquery

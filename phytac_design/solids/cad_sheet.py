@@ -44,8 +44,9 @@ def sheet_wall(surface: Surface, wall: WallSection) -> Any:
     shell = sewing.SewedShape()
     if shell.ShapeType() != TopAbs_SHELL or sewing.NbFreeEdges() > 0:
         raise NumericalError(
+            "cad-faces-open",
             f"the CAD faces of the {surface.name} do not close ({sewing.NbFreeEdges()} free "
-            "edges); please report this design"
+            "edges); please report this design",
         )
     solid = BRepBuilderAPI_MakeSolid(TopoDS.Shell_s(shell)).Solid()
     BRepLib.OrientClosedSolid_s(solid)

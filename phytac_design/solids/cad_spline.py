@@ -40,8 +40,9 @@ def cells_for(points_at: Callable[[FloatArray], FloatArray], knots: int) -> int:
             return cells
         if 2 * cells > cells_max:
             raise NumericalError(
+                "spline-too-many-cells",
                 f"a curve of the wall needs more than {cells_max} spline cells to be exact to "
-                f"{FIT_mm} mm; smooth the shape"
+                f"{FIT_mm} mm; smooth the shape",
             )
         spans *= 2
 

@@ -40,14 +40,16 @@ def wall_cad(surface: Surface, wall: WallSection) -> Any:
             solids = WALLS[kind](surface, wall).Solids()
             if len(solids) != 1:
                 raise NumericalError(
+                    "cad-wall-disconnected",
                     f"the CAD wall of the {surface.name} falls into {len(solids)} solids; please "
-                    "report this design"
+                    "report this design",
                 )
             return solids[0]
     known = ", ".join(sorted(kind.name for kind in WALLS if hasattr(kind, "name")))
     raise DesignError(
+        "cad-wall-unsupported",
         f"shape {surface.name!r} has no CAD wall (known: {known}); register one in "
-        "phytac_design.solids.cad_wall.WALLS, or build without STEP"
+        "phytac_design.solids.cad_wall.WALLS, or build without STEP",
     )
 
 
@@ -113,8 +115,9 @@ def _corner(surface: Surface, end: int, offset_mm: float, extension_mm: float) -
     p = surface.point(uv, offset_mm) + extension_mm * conormals(surface, uv, 0, end)
     if p[0, 0] <= AXIS_TOL_mm:
         raise DesignError(
+            "rim-folds",
             f"the rim of the {surface.name} folds on itself: {extension_mm:g} mm beyond the end "
-            "of the surface its sides have met; lower wall.rim_length_mm"
+            "of the surface its sides have met; lower wall.rim_length_mm",
         )
     return np.asarray(p[:, [0, 2]])
 

@@ -51,7 +51,10 @@ def read_stl(path: Path) -> TriangleMesh:
     data = path.read_bytes()
     count = int(np.frombuffer(data[80:84], "<u4")[0]) if len(data) >= 84 else -1
     if len(data) != 84 + count * STL_RECORD.itemsize:
-        raise OutputError(f"{path.name} is no binary STL file ({len(data)} bytes); build it again")
+        raise OutputError(
+            "stl-file-invalid",
+            f"{path.name} is no binary STL file ({len(data)} bytes); build it again",
+        )
     corners = np.frombuffer(data, STL_RECORD, offset=84)["corners"].reshape(-1, 3)
     # Single precision repeats the same corner bit by bit; -0 and 0 are one.
     vertices, ids = np.unique(corners + np.float32(0.0), axis=0, return_inverse=True)

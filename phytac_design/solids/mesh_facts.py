@@ -103,9 +103,10 @@ def shell_facts(solid: Any, surface: Surface, markers: Markers) -> ShellFacts:
     seen = {(f.watertight, f.bodies, f.genus) for f in (facts, other)}
     if seen != {(True, 1, genus)}:
         raise NumericalError(
+            "shell-not-watertight",
             f"the shell is not one watertight body of genus {genus} (got watertight "
             f"{facts.watertight}, {facts.bodies} bodies, genus {facts.genus}; by trimesh "
             f"{other.watertight}, {other.bodies}, {other.genus}): receptors probably meet; "
-            "run `phytac check` on the design"
+            "run `phytac check` on the design",
         )
     return facts

@@ -106,10 +106,11 @@ def root_depth_mm(sensor: Sensor) -> FloatArray:
         worst = int(bad[np.argmin((most - least)[bad])])
         lean = "" if design.receptor.direction == "normal" else "the lean of the receptors, "
         raise DesignError(
+            "receptor-exceeds-curvature",
             f"a receptor of {markers.place(worst)} does not fit the curved wall: under its "
             f"{design.receptor.diameter_outer_mm:g} mm tube the surface falls by "
             f"{high[worst]:.2f} mm in a wall of {thickness:g} mm; lower {lean}"
-            "receptor.diameter_outer_mm or raise wall.thickness_mm"
+            "receptor.diameter_outer_mm or raise wall.thickness_mm",
         )
     cosine = -np.sum(markers.direction * markers.normal, axis=1)
     return np.asarray((least + most) / 2.0 / cosine)

@@ -60,8 +60,9 @@ def to_manifold(mesh: TriangleMesh) -> Any:
     )
     if solid.status() != manifold3d.Error.NoError:
         raise NumericalError(
+            "mesh-not-closed",
             f"a mesh of {len(mesh.triangles)} triangles is not a closed solid "
-            f"({solid.status()}); check the design with `phytac check`"
+            f"({solid.status()}); check the design with `phytac check`",
         )
     return solid
 
@@ -176,7 +177,8 @@ def extruded_manifold(points_mm: FloatArray, low_mm: float, high_mm: float) -> A
     solid = manifold3d.Manifold.extrude(section, high_mm - low_mm).translate((0.0, 0.0, low_mm))
     if solid.is_empty():
         raise NumericalError(
+            "prism-empty",
             f"a prism of {len(points_mm)} corners from {low_mm:g} to {high_mm:g} mm is empty; "
-            "please report this design"
+            "please report this design",
         )
     return solid

@@ -50,7 +50,9 @@ def surface_from_step(
         If the file cannot be read, has no such face, or the face is trimmed, closed or folded.
     """
     if min(rows, columns) < 2:
-        raise InputError(f"a patch needs at least 2 x 2 points (got {rows} x {columns})")
+        raise InputError(
+            "step-points-too-few", f"a patch needs at least 2 x 2 points (got {rows} x {columns})"
+        )
     # A fork has the libraries that are loaded here: others take seconds to start.
     fork = multiprocessing.get_context("fork")
     mine, its = fork.Pipe(duplex=False)
@@ -62,15 +64,19 @@ def surface_from_step(
     except EOFError:
         child.join()
         raise InputError(
+            "step-unreadable",
             f"cannot read STEP file {path}: OpenCASCADE crashed on it (exit code "
-            f"{child.exitcode}); {AGAIN}"
+            f"{child.exitcode}); {AGAIN}",
         ) from None
     finally:
         mine.close()
         child.kill()
         child.join()
     if answer is None:
-        raise InputError(f"cannot read STEP file {path}: no end within {SECONDS_MAX:g} s; {AGAIN}")
+        raise InputError(
+            "step-unreadable",
+            f"cannot read STEP file {path}: no end within {SECONDS_MAX:g} s; {AGAIN}",
+        )
     if isinstance(answer, PhytacError):
         raise answer
     return np.asarray(answer, dtype=np.float64)
@@ -92,7 +98,8 @@ def _send_grid(pipe: Connection, path: Path, rows: int, columns: int, face: int 
         answer = error
     except Exception as error:  # noqa: BLE001 - the kernel's own errors have no common class
         answer = InputError(
-            f"cannot read STEP file {path}: {str(error)[:200] or 'damaged'}; {AGAIN}"
+            "step-unreadable",
+            f"cannot read STEP file {path}: {str(error)[:200] or 'damaged'}; {AGAIN}",
         )
     pipe.send(answer)
 
@@ -114,7 +121,9 @@ def read_surface(path: Path, rows: int, columns: int, face: int | None) -> Float
         ]
     )
     if not np.isfinite(points).all():
-        raise InputError(f"the face of {path} has points that are not finite; {AGAIN}")
+        raise InputError(
+            "step-face-not-finite", f"the face of {path} has points that are not finite; {AGAIN}"
+        )
     size = float(np.ptp(points.reshape(-1, 3), axis=0).max())
     for axis in (0, 1):
         ends = np.take(points, [0, -1], axis=axis)
@@ -122,8 +131,10 @@ def read_surface(path: Path, rows: int, columns: int, face: int | None) -> Float
         gap = np.linalg.norm(np.diff(ends, axis=axis), axis=2).max()
         if gap <= 1e-6 * size or across.min() <= 1e-6 * size:
             raise InputError(
+                "step-face-closed",
                 f"the face of {path} closes on itself or ends in a point; a patch is open on four "
-                "sides: cut the face, or use a shape of its kind (cylinder, cone, hemisphere, grip)"
+                "sides: cut the face, or use a shape of its kind (cylinder, cone, hemisphere, "
+                "grip)",
             )
     return _outward(points)
 
@@ -133,13 +144,19 @@ def _face(path: Path, number: int | None) -> Any:
     try:
         faces = cq.importers.importStep(str(path)).faces().vals()
     except ValueError as error:
-        raise InputError(f"cannot read STEP file {path}: {error}; export it again") from None
+        raise InputError(
+            "step-unreadable", f"cannot read STEP file {path}: {error}; export it again"
+        ) from None
     if not faces:
-        raise InputError(f"{path} holds no face; export a surface or a solid, not curves")
+        raise InputError(
+            "step-without-face", f"{path} holds no face; export a surface or a solid, not curves"
+        )
     if number is None:
         return max(faces, key=lambda item: item.Area())
     if not 0 <= number < len(faces):
-        raise InputError(f"{path} has faces 0 to {len(faces) - 1} (got {number})")
+        raise InputError(
+            "step-face-number", f"{path} has faces 0 to {len(faces) - 1} (got {number})"
+        )
     return faces[number]
 
 
@@ -155,9 +172,10 @@ def _untrimmed(face: Any, path: Path) -> tuple[Any, tuple[float, float, float, f
     share = face.Area() / whole
     if abs(share - 1.0) > COVERED:
         raise InputError(
+            "step-face-trimmed",
             f"the face of {path} is trimmed: it covers {share:.1%} of the rectangle of its "
             "parameters, and a patch is a whole one; rebuild it in CAD as an untrimmed face with "
-            "four sides and no holes"
+            "four sides and no holes",
         )
     return geometry, bounds
 

@@ -171,6 +171,7 @@ def _refuse_fold(surface: Surface, loop: Loop, steps: FloatArray, extension_mm: 
     ahead = np.einsum("ni,ni->n", steps, edge) > 0.0
     if not ahead[loop.along_edge].all():
         raise DesignError(
+            "rim-folds",
             f"the rim of the {surface.name} folds on itself: {extension_mm:g} mm beyond the end "
-            "of the surface its sides have met; lower wall.rim_length_mm"
+            "of the surface its sides have met; lower wall.rim_length_mm",
         )

@@ -81,7 +81,9 @@ def select_stages(only: Sequence[str] | None) -> list[Stage]:
     for name in sorted(wanted - set(known)):
         near = get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise DesignError(f"unknown stage {name!r}{hint} (stages: {', '.join(known)})")
+        raise DesignError(
+            "stage-unknown", f"unknown stage {name!r}{hint} (stages: {', '.join(known)})"
+        )
     for stage in reversed(STAGES):
         if stage.name in wanted:
             wanted |= set(stage.depends_on)
@@ -144,8 +146,9 @@ def build(
                 _export(out, design, stages, context)
         except OSError as error:
             raise OutputError(
+                "output-not-writable",
                 f"cannot write {out}: {error.strerror or error}; make room, or choose another "
-                "--out, and run the same command again: what was computed is kept"
+                "--out, and run the same command again: what was computed is kept",
             ) from None
         if ran:
             prune(limit_bytes=limit)
@@ -222,7 +225,8 @@ def run_stages(
             reason = stage.gate(context) if stage.gate and not force else ""
             if reason:
                 raise GateError(
-                    f"{reason}; or continue anyway with --force, which marks the report"
+                    "build-gate",
+                    f"{reason}; or continue anyway with --force, which marks the report",
                 )
     return context, ran, timing
 
@@ -262,12 +266,14 @@ def _claim(out: Path, design: Design, *, force: bool) -> None:
         name = other.get("name") if isinstance(other, dict) else None
         if name != design.name and not force:
             raise OutputError(
+                "output-foreign",
                 f"{out} holds the design {name!r}, not {design.name!r}; "
-                "choose another --out, or overwrite it with --force"
+                "choose another --out, or overwrite it with --force",
             )
     elif out.is_dir() and _foreign(out) and not (out / "design.toml").is_file() and not force:
         raise OutputError(
-            f"{out} is not empty and not a build; choose another --out, or use --force"
+            "output-foreign",
+            f"{out} is not empty and not a build; choose another --out, or use --force",
         )
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -276,7 +282,9 @@ def _claim(out: Path, design: Design, *, force: bool) -> None:
         # Another build may have just taken it away.
         probe.unlink(missing_ok=True)
     except OSError as error:
-        raise OutputError(f"cannot write {out}: {error.strerror}; choose another --out") from None
+        raise OutputError(
+            "output-not-writable", f"cannot write {out}: {error.strerror}; choose another --out"
+        ) from None
 
 
 def _foreign(out: Path) -> bool:
@@ -384,8 +392,9 @@ def _check_copy(copy: Path, source: Path, digest: str) -> None:
         return
     copy.unlink()
     raise OutputError(
+        "cache-entry-damaged",
         f"{source} was damaged while it was exported (its SHA-256 is not {digest[:12]}…); run the "
-        "same command again, which computes it again, and check the disk if this happens again"
+        "same command again, which computes it again, and check the disk if this happens again",
     )
 
 

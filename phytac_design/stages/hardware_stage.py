@@ -91,9 +91,10 @@ def _cad(context: Context, kit: HardwareAssembly, solids: dict[str, Any]) -> dic
         difference = abs(volume / facts.volume_mm3 - 1.0)
         if not facts.valid or difference > volume_tol:
             raise NumericalError(
+                "hardware-solid-unsound",
                 f"the CAD of {part.name} is not sound: valid {facts.valid}, "
                 f"{facts.volume_mm3:.1f} mm³ against {volume:.1f} mm³ of the printed mesh; please "
-                "report this design"
+                "report this design",
             )
         shapes[part.name] = shape
     return shapes

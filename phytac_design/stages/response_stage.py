@@ -200,10 +200,11 @@ def deepest_dent_mm(context: Context, responses: FloatArray, force_N: FloatArray
     if dent > size:
         most = context.design.training.force_max_N
         raise DesignError(
+            "contact-force-too-large",
             f"contacts of up to {most:g} N are too strong for this wall: they would press it in "
             f"by {dent:.3g} mm, and the sensor is {size:.3g} mm from its middle to its side; lower "
             f"training.force_max_N (a tenth of that depth is {0.1 * most * size / dent:.2g} N) or "
-            "raise wall.thickness_mm"
+            "raise wall.thickness_mm",
         )
     return dent
 

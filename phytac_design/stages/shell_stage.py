@@ -86,8 +86,9 @@ def _compare_finer(context: Context, step_mm3: float) -> None:
     volume = float(solid.volume())
     if not abs(volume / step_mm3 - 1.0) <= VOLUME_TOL:
         raise NumericalError(
+            "kernels-disagree",
             f"two kernels do not make the same shell: {step_mm3:.1f} mm³ in STEP against "
-            f"{volume:.1f} mm³ of a mesh; please report this design"
+            f"{volume:.1f} mm³ of a mesh; please report this design",
         )
 
 

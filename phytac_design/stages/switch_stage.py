@@ -110,7 +110,7 @@ def switches_of(context: Context) -> SwitchSet:
         If they cannot be made; see :func:`refusal`.
     """
     if refusal(context):
-        raise DesignError(refusal(context))
+        raise DesignError("switch-infeasible", refusal(context))
     return _set_of(context, context.facts("switch")["switches"])
 
 

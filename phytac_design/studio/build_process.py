@@ -21,6 +21,8 @@ STOP_TIMEOUTS_S = (5.0, 5.0)
 """Time to end after SIGINT, and then after SIGTERM."""
 STAGE_LINE = re.compile(r"\[(\d+)/(\d+)\] ([a-z-]+)( \d)?")
 """A stage's number, their count, its name, and a figure behind it if it has ended."""
+ERROR_LINE = re.compile(r"error\[([a-z0-9-]+)\]: ")
+"""The line in which the command line reports an error, with its code."""
 
 Json = dict[str, Any]
 
@@ -63,7 +65,8 @@ class BuildRunner:
         """
         if self.running:
             raise InputError(
-                f"{self._state.get('name')} is being built; wait for it, or stop it first"
+                "build-running",
+                f"{self._state.get('name')} is being built; wait for it, or stop it first",
             )
         out = Path("exports") / design.name
         folder = tempfile.mkdtemp(prefix="phytac-studio-")
@@ -83,7 +86,9 @@ class BuildRunner:
                 start_new_session=True,
             )
         except OSError as error:
-            raise OutputError(f"cannot start a build: {error.strerror}; free disk space") from None
+            raise OutputError(
+                "build-not-started", f"cannot start a build: {error.strerror}; free disk space"
+            ) from None
         self._number += 1
         self._lines, self._stopped, self._start_s = [], False, time.monotonic()
         self._state = {
@@ -121,9 +126,14 @@ class BuildRunner:
         elif self._stopped:
             self._state |= {"state": "stopped", "stage": ""}
         else:
-            errors = [line for line in self._lines if line.startswith("error: ")]
-            why = errors[-1] if errors else "".join(self._lines[-1:])
-            self._state |= {"state": "failed", "stage": "", "error": why or f"exit code {code}"}
+            errors = [found for line in self._lines if (found := ERROR_LINE.match(line))]
+            why = errors[-1].string if errors else "".join(self._lines[-1:])
+            self._state |= {
+                "state": "failed",
+                "stage": "",
+                "error": why or f"exit code {code}",
+                "code": errors[-1][1] if errors else "",
+            }
         self._state["seconds"] = round(time.monotonic() - self._start_s, 1)
         await self._add_line("")
 

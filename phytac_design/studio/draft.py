@@ -71,8 +71,9 @@ def draft(design: Design, check: Check, side_px: int = SIDE_px) -> Json:
     Returns
     -------
     dict
-        Plain JSON: ``refused`` (text of the broken rule, or empty), ``warnings``, ``measures``,
-        ``view`` (see ``report.viewer.data``), ``cameras`` (images as base64), ``resolved``.
+        Plain JSON: ``refused`` and ``code`` (text and code of the broken rule, or empty),
+        ``warnings``, ``measures``, ``view`` (see ``report.viewer.data``), ``cameras`` (images as
+        base64), ``resolved``.
 
     Raises
     ------
@@ -81,8 +82,9 @@ def draft(design: Design, check: Check, side_px: int = SIDE_px) -> Json:
     """
     if design.layout.wanted > MARKERS_MAX:
         raise DesignError(
+            "draft-too-many-markers",
             f"layout.rows, layout.columns or layout.count give {design.layout.wanted} markers; "
-            f"the studio draws up to {MARKERS_MAX}, `phytac check` takes more"
+            f"the studio draws up to {MARKERS_MAX}, `phytac check` takes more",
         )
     # Prices and a seed are all that the levels used here need of a study.
     variable = Variable(field="wall.thickness_mm", low=0.5, high=1.0)
@@ -96,11 +98,11 @@ def draft(design: Design, check: Check, side_px: int = SIDE_px) -> Json:
     except Exception:
         # A design that breaks a rule need not be drawable.
         if refused:
-            raise DesignError(refused) from None
+            raise refused from None
         raise
 
 
-def _drawn(candidate: Candidate, refused: str, side_px: int, check: Check) -> Json:
+def _drawn(candidate: Candidate, refused: DesignError | None, side_px: int, check: Check) -> Json:
     """What ``draft`` returns."""
     design = candidate.design
     surface, markers = candidate.sensor.surface, candidate.sensor.markers
@@ -130,7 +132,8 @@ def _drawn(candidate: Candidate, refused: str, side_px: int, check: Check) -> Js
     }
     drawn: Json = finite(
         {
-            "refused": refused,
+            "refused": str(refused) if refused else "",
+            "code": refused.code if refused else "",
             "warnings": _warnings(candidate, found),
             "measures": [
                 {
@@ -170,8 +173,8 @@ def exact(design: Design) -> Json:
     }
 
 
-def _broken_rule(candidate: Candidate) -> str:
-    """Text of the rule that a design breaks, or ""; its markers are placed in any case.
+def _broken_rule(candidate: Candidate) -> DesignError | None:
+    """Error of the rule that a design breaks, if one; its markers are placed in any case.
 
     Raises
     ------
@@ -187,8 +190,8 @@ def _broken_rule(candidate: Candidate) -> str:
             candidate.sensor = Sensor.of(candidate.design, surface, markers)
         except PhytacError:
             raise error from None
-        return str(error)
-    return ""
+        return error
+    return None
 
 
 def _warnings(candidate: Candidate, found: Json) -> list[str]:

@@ -73,8 +73,9 @@ class ProjectFolder:
         long = any(len(part.encode()) > 200 for part in Path(name).parts)
         if not inside or long or not name.isprintable():
             raise InputError(
+                "path-outside-folder",
                 f"{name[:200]!r} is not in the folder that the studio was started in "
-                f"({self.root}); give a path below it"
+                f"({self.root}); give a path below it",
             )
         return path
 
@@ -106,9 +107,13 @@ class ProjectFolder:
             text = read_text(file, bytes_max=BYTES_MAX)
             data = toml_table(text)
         except OSError as error:
-            raise InputError(f"no design {name!r} ({error.strerror}); open another one") from None
+            raise InputError(
+                "file-unreadable", f"no design {name!r} ({error.strerror}); open another one"
+            ) from None
         except ValueError as error:
-            raise InputError(f"{name} is not TOML: {error}; open another file") from None
+            raise InputError(
+                "file-syntax", f"{name} is not TOML: {error}; open another file"
+            ) from None
         return OpenedDesign(name=name, text=text, data=data)
 
     def _is_given(self, name: str) -> bool:
@@ -162,16 +167,21 @@ class ProjectFolder:
             If the path leads out of the folder.
         """
         if not name.endswith(".toml"):
-            raise InputError(f"a design file's name ends in .toml (got {name[:200]!r})")
+            raise InputError(
+                "file-name-invalid", f"a design file's name ends in .toml (got {name[:200]!r})"
+            )
         path = self.within(name)
         if path.is_dir() or path.name.startswith("."):
-            raise InputError(f"{name!r} cannot be a design file; choose another name")
+            raise InputError(
+                "file-name-invalid", f"{name!r} cannot be a design file; choose another name"
+            )
         before = self.design_of(data, source)
         after = parse_design(data, name, folder=path.parent)
         if design_hash(before) != design_hash(after):
             raise OutputError(
+                "output-moves-design",
                 f"{name} would be another design, since the files that it names are relative "
-                "to its folder; save it beside the file that it came from"
+                "to its folder; save it beside the file that it came from",
             )
         if path.exists() and not force:
             try:
@@ -179,7 +189,9 @@ class ProjectFolder:
             except (OSError, UnicodeDecodeError):
                 digest = ""
             if not replace or digest != replace:
-                raise ConfirmationError(f"{name} exists already; overwrite it?")
+                raise ConfirmationError(
+                    "overwrite-unconfirmed", f"{name} exists already; overwrite it?"
+                )
         text = self.text_of(data, after, source)
         write_file(path, text)
         return OpenedDesign(name=name, text=text, data=toml_table(text))
@@ -234,7 +246,8 @@ def write_file(path: Path, text: str) -> None:
         write_atomically(path, text.encode(), mode=mode)
     except OSError as error:
         raise OutputError(
-            f"cannot write {path.name}: {error.strerror}; free disk space, or choose another name"
+            "output-not-writable",
+            f"cannot write {path.name}: {error.strerror}; free disk space, or choose another name",
         ) from None
 
 

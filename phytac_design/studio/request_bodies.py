@@ -87,4 +87,4 @@ def parse(kind: type[Body], body: bytes) -> Body:
             f"{'.'.join(map(str, item['loc']))[:80] or 'the request'}: {item['msg'][:200]}"
             for item in error.errors(include_input=False)[:10]
         )
-        raise InputError("; ".join(problems)) from None
+        raise InputError("request-invalid", "; ".join(problems)) from None

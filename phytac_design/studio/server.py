@@ -90,7 +90,8 @@ def _listen(port: int) -> socket.socket:
         listener.close()
         reason = getattr(error, "strerror", None) or error
         raise OutputError(
-            f"cannot listen at 127.0.0.1, port {port} ({reason}); give another --port"
+            "port-unavailable",
+            f"cannot listen at 127.0.0.1, port {port} ({reason}); give another --port",
         ) from None
     return listener
 

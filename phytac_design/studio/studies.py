@@ -106,7 +106,8 @@ def _readable(folder: Path) -> Iterator[None]:
     except (OSError, ValueError, KeyError, TypeError, NotImplementedError) as error:
         text = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise InputError(
-            f"{folder.name} has results that cannot be read ({text}); run the study again"
+            "study-results-unreadable",
+            f"{folder.name} has results that cannot be read ({text}); run the study again",
         ) from None
 
 

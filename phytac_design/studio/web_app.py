@@ -226,13 +226,14 @@ class Studio:
             # Not a failure; a browser would log any other status on its console.
             return JSONResponse({"stale": True})
         if isinstance(error, ConfirmationError):
-            return JSONResponse({"ask": str(error)}, 409)
+            return JSONResponse({"ask": str(error), "code": error.code}, 409)
         if isinstance(error, HTTPException):
             return JSONResponse({"error": error.detail}, error.status_code)
         if isinstance(error, PhytacError):
             kinds = {DesignError: 422, InputError: 400, OutputError: 409}
             status = next((n for kind, n in kinds.items() if isinstance(error, kind)), 422)
-            return JSONResponse(error_body(str(error), self.paths), status)
+            body = {"code": error.code} | error_body(str(error), self.paths)
+            return JSONResponse(body, status)
         if isinstance(error, ClientDisconnect):
             return Response(status_code=400)
         name = type(error).__name__

@@ -77,8 +77,9 @@ def join_samples(sets: Sequence[Samples]) -> Samples:
     counts = sorted({samples.markers for samples in sets})
     if len(counts) != 1:
         raise InputError(
+            "data-sets-marker-count",
             f"data sets of sensors with {', '.join(map(str, counts)) or 'no'} markers cannot be "
-            "joined; give one or more of the same design"
+            "joined; give one or more of the same design",
         )
     if len(sets) == 1:
         return sets[0]

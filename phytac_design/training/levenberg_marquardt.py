@@ -72,14 +72,16 @@ def train_network(
     """
     if len(training.force_N) < INPUTS + 1 or len(validation.force_N) < 1:
         raise InputError(
+            "training-data-too-few",
             f"{len(training.force_N)} key nodes in the training data and "
             f"{len(validation.force_N)} in the validation data are too few; simulate more "
-            "contacts (training.samples) or stronger ones"
+            "contacts (training.samples) or stronger ones",
         )
     if start is not None and start.activation != activation:
         raise InputError(
+            "network-activation-differs",
             f"train_network: a network with activation {start.activation!r} cannot be the start "
-            f"of one with {activation!r}; give one of the same kind"
+            f"of one with {activation!r}; give one of the same kind",
         )
     begin = time.perf_counter()
     scale_in = np.full(INPUTS, max(float(np.abs(training.features[:, :9]).std()), 1e-9))

@@ -109,8 +109,9 @@ def match_contacts(locator: ContactLocator, samples: Samples, chosen: IntArray) 
         rows += _matched(found, truth.marker[own], truth.touch[own])
     if not rows:
         raise InputError(
+            "no-switch-tripped",
             "no contact of the samples tripped a switch that was found again; give samples with "
-            "stronger contacts"
+            "stronger contacts",
         )
     index = np.array([touch for touch, _ in rows], dtype=np.int64)
     contacts = [contact for _, contact in rows]

@@ -53,8 +53,9 @@ def export_onnx(bundle: Path, out: Path, *, estimator: str = "fem_nn") -> float:
     if network is None:
         known = ", ".join(sorted(decoder.model.networks)) or "none"
         raise InputError(
+            "network-unknown",
             f"the decoder in {bundle} has no network {estimator!r} (its networks: {known}); name "
-            "one of them, or train it with `phytac train`"
+            "one of them, or train it with `phytac train`",
         )
     model = network_model(network, provenance(decoder, bundle_hash(bundle), estimator))
     try:
@@ -66,7 +67,8 @@ def export_onnx(bundle: Path, out: Path, *, estimator: str = "fem_nn") -> float:
             part.replace(out)
     except OSError as error:
         raise OutputError(
-            f"cannot write {out}: {error.strerror or error}; choose another file"
+            "output-not-writable",
+            f"cannot write {out}: {error.strerror or error}; choose another file",
         ) from None
     return difference
 
@@ -137,7 +139,8 @@ def network_model(network: CascadeNetwork, notes: Mapping[str, str]) -> onnx.Mod
         onnx.checker.check_model(model, full_check=True)
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
         raise NumericalError(
-            f"the network is not a valid ONNX model: {error}; please report this"
+            "onnx-model-invalid",
+            f"the network is not a valid ONNX model: {error}; please report this",
         ) from None
     return model
 
@@ -170,15 +173,17 @@ def max_difference(path: Path, network: CascadeNetwork) -> float:
         found = run(path, rows)
         if found.shape != (len(rows),):
             raise NumericalError(
+                "onnx-model-differs",
                 f"the ONNX file gives an array of shape {found.shape} for {len(rows)} key nodes; "
-                "it is not kept, please report this"
+                "it is not kept, please report this",
             )
         gap = np.abs(found - wanted[: len(rows)]).max() / max(np.abs(wanted).max(), 1e-300)
         worst = max(worst, float(gap)) if np.isfinite(gap) else float("inf")
     if not worst <= TOLERANCE:
         raise NumericalError(
+            "onnx-model-differs",
             f"the ONNX file differs from the network by {worst:.2g} of the largest stiffness, more "
-            f"than {TOLERANCE:g}; it is not kept, please report this"
+            f"than {TOLERANCE:g}; it is not kept, please report this",
         )
     return worst
 

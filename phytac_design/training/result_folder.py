@@ -36,19 +36,24 @@ def reserve_folder(out: Path, table: str, design: str, *, force: bool) -> Iterat
         if not force and out.is_dir() and any(out.iterdir()):
             if not (out / table).is_file():
                 raise OutputError(
-                    f"{out} is not empty and holds no {table}; choose another --out, or use --force"
+                    "output-foreign",
+                    f"{out} is not empty and holds no {table}; choose another --out, or use "
+                    "--force",
                 )
             other = _design_of(out / table)
             if other != design:
                 raise OutputError(
+                    "output-foreign",
                     f"{out} belongs to the design {other!r}, not {design!r}; choose another --out, "
-                    "or overwrite it with --force"
+                    "or overwrite it with --force",
                 )
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):
             pass
     except OSError as error:
-        raise OutputError(f"cannot write {out}: {error.strerror}; choose another --out") from None
+        raise OutputError(
+            "output-not-writable", f"cannot write {out}: {error.strerror}; choose another --out"
+        ) from None
     try:
         yield
     finally:
@@ -87,5 +92,6 @@ def write_folder(out: Path, table: str) -> Iterator[Path]:
                 Path(copy).replace(out / path.name)
     except OSError as error:
         raise OutputError(
-            f"cannot write {out}: {error.strerror}; make room, or choose another --out"
+            "output-not-writable",
+            f"cannot write {out}: {error.strerror}; make room, or choose another --out",
         ) from None

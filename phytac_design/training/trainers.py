@@ -63,8 +63,9 @@ def train_cascade(
         if start is None:
             known = ", ".join(sorted(task.start.model.networks)) or "none"
             raise InputError(
+                "network-unknown",
                 f"the decoder to start from, of {task.start.design}, has no network {name} "
-                f"(its networks: {known}); train that one first, or leave --start out"
+                f"(its networks: {known}); train that one first, or leave --start out",
             )
     fit = train_network(
         task.training.rows,

@@ -93,7 +93,10 @@ def read_data_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet
         If there are none, one cannot be read or is of another design, or a sample occurs twice.
     """
     if not folders:
-        raise InputError("no data set was given; name one or more folders of `phytac simulate`")
+        raise InputError(
+            "data-set-missing",
+            "no data set was given; name one or more folders of `phytac simulate`",
+        )
     sets: list[DataSet] = []
     for folder in folders:
         samples, meta = read_samples(folder, expect_design_hash=design_hash)
@@ -101,14 +104,16 @@ def read_data_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet
         for other in sets:
             if other.sha256 == item.sha256:
                 raise InputError(
+                    "data-set-duplicate",
                     f"{folder} and {other.folder} are the same data set: samples would be used for "
-                    "training and test, or counted twice; leave one of them out"
+                    "training and test, or counted twice; leave one of them out",
                 )
             if shared := len(_sample_keys(item.samples) & _sample_keys(other.samples)):
                 raise InputError(
+                    "data-sets-overlap",
                     f"{shared} samples of {folder} are in {other.folder} as well, and would be "
                     "used for training and test, or counted twice; leave one of the two out, or "
-                    "make one with another --seed"
+                    "make one with another --seed",
                 )
         sets.append(item)
     return sets
@@ -148,15 +153,17 @@ def check_inputs(item: DataSet, model: ForceModel, accuracy: str) -> None:
     nodes = item.samples.key_nodes
     if nodes is None:
         raise InputError(
+            "data-set-without-inputs",
             f"{item.folder} holds neither points nor the networks' inputs; make it again with "
-            "--keep points or --keep inputs"
+            "--keep points or --keep inputs",
         )
     made = item.meta.notes.get("accuracy")
     if item.meta.simulated and made != accuracy:
         raise InputError(
+            "inputs-other-accuracy",
             f"{item.folder} holds inputs of the networks that were made at accuracy {made}, the "
             f"decoder is trained at {accuracy}, whose K·u is another; add --accuracy {made}, or "
-            "make the data with --keep points, which suit any accuracy"
+            "make the data with --keep points, which suit any accuracy",
         )
     norm, ours = item.meta.notes.get("stiffness_size_N_mm"), model.stiffness_size_N_mm
     # Norms of K at one accuracy differ by less than 1e-4, at two by percents.
@@ -164,14 +171,16 @@ def check_inputs(item: DataSet, model: ForceModel, accuracy: str) -> None:
     if not item.meta.simulated and not same:
         got = "unknown norm" if norm is None else f"norm {norm:.6g} N/mm, here {ours:.6g}"
         raise InputError(
+            "inputs-other-decoder",
             f"{item.folder} holds inputs of the networks by the K·u of another decoder ({got}); "
             "add --accuracy as that decoder was built with, or import with --keep points, which "
-            "suit any accuracy"
+            "suit any accuracy",
         )
     if not np.allclose(nodes.height_z_mm, model.height_z_mm, rtol=0.0, atol=1e-6):
         raise InputError(
+            "inputs-other-heights",
             f"{item.folder} holds inputs of the networks whose marker heights are not this "
-            "design's; make it again with this version of the program"
+            "design's; make it again with this version of the program",
         )
 
 
@@ -219,21 +228,24 @@ def split_data_sets(
     if limit is not None:
         if not 0 < limit <= len(usable):
             raise InputError(
+                "training-data-too-few",
                 f"{limit} samples are wanted, the data hold {len(usable)} that did not fail; "
-                "use fewer, or simulate more"
+                "use fewer, or simulate more",
             )
         usable = usable[:limit]
     whole = select_samples(whole, usable)
     nodes = whole.key_nodes
     if nodes is None or len(nodes.sample) == 0:
         raise InputError(
+            "no-switch-tripped",
             f"none of {len(usable)} samples has a switch that was read as on and whose marker was "
-            "found: there is nothing to train with; press harder, or on receptors"
+            "found: there is nothing to train with; press harder, or on receptors",
         )
     if len(usable) < len(SHARES):
         raise InputError(
+            "training-data-too-few",
             f"{len(usable)} samples that did not fail cannot be split into training, "
-            "validation and test; give more"
+            "validation and test; give more",
         )
     data = data_of(nodes)
     at = np.cumsum([0] + [item.samples.count for item in sets])

@@ -45,12 +45,13 @@ def patch_changes(
     try:
         check_file(path, bytes_max=BYTES_MAX)
     except OSError as error:
-        raise InputError(f"no STEP file at {path} ({error.strerror})") from None
+        raise InputError("file-unreadable", f"no STEP file at {path} ({error.strerror})") from None
     with path.open("rb") as file:
         if STEP_MARK not in file.read(1024):
             raise InputError(
+                "file-not-step",
                 f"{path} is not a STEP file (it does not begin with {STEP_MARK.decode()}); export "
-                "the part as STEP"
+                "the part as STEP",
             )
     fine = surface_from_step(path, rows=2 * rows - 1, columns=2 * columns - 1, face=face)
     points = fine[::2, ::2]
@@ -58,8 +59,9 @@ def patch_changes(
     size = high - low
     if float(size.max()) > SIZE_MAX_MM:
         raise InputError(
+            "step-face-too-large",
             f"the face of {path} spans {size.max():.4g} mm, more than {SIZE_MAX_MM:g}; export it "
-            "in millimetres, or cut it"
+            "in millimetres, or cut it",
         )
     shift = -np.array([(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]])
     placed = np.round(points + shift, DECIMALS) + 0.0

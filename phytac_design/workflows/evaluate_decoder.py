@@ -80,8 +80,9 @@ def evaluate(
     for item in sets:
         if not item.has_points:
             raise InputError(
+                "samples-without-points",
                 f"{item.folder} holds no points, so nothing can be decoded; make it again with "
-                "--keep points"
+                "--keep points",
             )
         if item.sha256 in decoder.notes.get("data_sha256", ()):
             progress(
@@ -97,8 +98,9 @@ def evaluate(
     samples = join_samples([item.samples for item in sets])
     if samples.markers != len(decoder.colour):
         raise InputError(
+            "data-sets-marker-count",
             f"the data are of a sensor with {samples.markers} markers, the decoder of one with "
-            f"{len(decoder.colour)}; use data of the decoder's own design"
+            f"{len(decoder.colour)}; use data of the decoder's own design",
         )
     with reserve_folder(out, TABLE, decoder.design, force=force):
         decoded = decode_contacts(
@@ -151,9 +153,10 @@ def find_design(decoder: Bundle, folder: Path, wanted: str | None) -> Design | N
         design = load_design(wanted)
         if design_hash(design) != decoder.design_hash:
             raise InputError(
+                "decoder-of-other-design",
                 f"{wanted} is not the design that the decoder in {folder} was made from "
                 f"({decoder.design}, {decoder.design_hash[:12]}…); give that one, or leave "
-                "--design out"
+                "--design out",
             )
         return design
     build = folder.resolve().parent / "design.toml"

@@ -149,7 +149,9 @@ def import_rig(
     """
     chosen, out = settings or ImportSettings(), out.resolve()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise OutputError(f"{out} is there already; choose another folder or remove it")
+        raise OutputError(
+            "output-exists", f"{out} is there already; choose another folder or remove it"
+        )
     rig = _rig(design, bundle, frames, chosen)
     notes: dict[str, Any] = {"settings": asdict(chosen)}
     notes["lenses"] = _check_lenses(rig.bundle, cameras, progress)
@@ -181,7 +183,7 @@ def import_rig(
     if not chosen.skip_bad:
         problems.raise_all()
     if not seen:
-        raise InputError(f"no sample is usable: {problems.text()}")
+        raise InputError("rig-no-usable-samples", f"no sample is usable: {problems.text()}")
     samples = _kept(rig, log, touches, seen, times, notes)
     for doubt in notes["doubts"]:
         progress(f"warning: {doubt}")
@@ -214,17 +216,22 @@ def import_rig(
 def _rig(design: Design, bundle: Path, frames: Sequence[Path], chosen: ImportSettings) -> RigSetup:
     """Sensor, decoder and pictures, if they are of one another."""
     if chosen.keep not in KEEPS:
-        raise InputError(f"keep must be one of {', '.join(KEEPS)} (got {chosen.keep!r})")
+        raise InputError(
+            "rig-keep-unknown", f"keep must be one of {', '.join(KEEPS)} (got {chosen.keep!r})"
+        )
     decoder = load_bundle(bundle)
     if decoder.design_hash != design_hash(design):
         raise InputError(
+            "decoder-of-other-design",
             f"the decoder in {bundle} was built for another state of the design "
-            f"{decoder.design!r}; build {design.name!r} again, or name the design it was built from"
+            f"{decoder.design!r}; build {design.name!r} again, or name the design it was "
+            "built from",
         )
     if len(frames) != len(decoder.cameras):
         raise InputError(
+            "camera-count",
             f"the sensor {design.name!r} has {len(decoder.cameras)} cameras (got {len(frames)} "
-            "folders or videos); give --frames once for each, the near end's first"
+            "folders or videos); give --frames once for each, the near end's first",
         )
     surface = design.surface()
     return RigSetup(
@@ -306,16 +313,18 @@ def _check_lenses(
     """Differences of calibrated lenses from those that the decoder was made for."""
     if files and len(files) != len(bundle.cameras):
         raise InputError(
+            "camera-count",
             f"--camera was given {len(files)} times for {len(bundle.cameras)} cameras; give one of "
-            "each, the near end's first"
+            "each, the near end's first",
         )
     out = []
     for path, camera in zip(files, bundle.cameras, strict=False):
         made, found = camera.lens, read_lens(path)
         if (made.width_px, made.height_px) != (found.width_px, found.height_px):
             raise InputError(
+                "lens-image-size",
                 f"{path} is of {found.width_px}x{found.height_px} px, the decoder was made for "
-                f"{made.width_px}x{made.height_px}; calibrate the camera mode of the design"
+                f"{made.width_px}x{made.height_px}; calibrate the camera mode of the design",
             )
         away = lens_difference_px(made, found)
         most, limit = (
@@ -328,7 +337,7 @@ def _check_lenses(
         )
         fix = "set camera.calibration in the design to this file and build again"
         if not most <= limit:
-            raise InputError(f"{said}, more than {limit:.1f} px; {fix}")
+            raise InputError("lens-differs", f"{said}, more than {limit:.1f} px; {fix}")
         if most > LIMITS.lens_warn_px:
             progress(f"warning: {said}; {fix}")
         out.append({"most_px": most, "median_px": float(np.median(away))})
@@ -373,7 +382,7 @@ def _write(
             out.rmdir()
         part.replace(out)
     except OSError as error:
-        raise OutputError(f"cannot write {out}: {error.strerror}") from None
+        raise OutputError("output-not-writable", f"cannot write {out}: {error.strerror}") from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return meta

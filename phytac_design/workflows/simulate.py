@@ -224,8 +224,9 @@ class SampleWorker:
 
 def _full(out: Path, error: OSError) -> OutputError:
     return OutputError(
+        "output-not-writable",
         f"cannot write {out}: {error.strerror}; make room, then run the same command again: what "
-        "is done stays"
+        "is done stays",
     )
 
 
@@ -265,7 +266,9 @@ def simulate(
     """
     begin = time.perf_counter()
     if workers < 0:
-        raise DesignError(f"simulate: workers must not be negative (got {workers})")
+        raise DesignError(
+            "workers-negative", f"simulate: workers must not be negative (got {workers})"
+        )
     check_design(job.design)
     total = job.plan.touches.samples
     ready = finished_data_set(out, job, force=force)
@@ -313,8 +316,9 @@ def finished_data_set(out: Path, job: Job, *, force: bool) -> Samples | None:
         foreign = [name for name in (FILE, FRAMES) if (out / name).exists()]
         if foreign and not force and not (out / JOURNAL_FOLDER).exists():
             raise OutputError(
+                "output-foreign",
                 f"{out} holds {' and '.join(foreign)} of something else; choose another --out, or "
-                "add --force to replace them"
+                "add --force to replace them",
             )
         return None
     try:
@@ -322,16 +326,18 @@ def finished_data_set(out: Path, job: Job, *, force: bool) -> Samples | None:
     except InputError as error:
         if not force:
             raise OutputError(
+                "output-foreign",
                 f"{out} holds a data set that is not whole ({error}); add --force to replace it, "
-                "or choose another --out"
+                "or choose another --out",
             ) from None
     else:
         if meta.hashes.get("job") == job.key:
             return samples
         if not force:
             raise OutputError(
+                "output-foreign",
                 f"{out} holds another data set ({meta.what}), or one by another version of the "
-                "program; add --force to replace it, or choose another --out"
+                "program; add --force to replace it, or choose another --out",
             )
     (out / TABLE).unlink()
     shutil.rmtree(out / FRAMES, ignore_errors=True)

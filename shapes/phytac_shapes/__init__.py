@@ -26,8 +26,9 @@ def _registered() -> dict[str, type[Surface]]:
             continue
         if own.name in found:
             raise DesignError(
+                "shape-name-duplicate",
                 f"phytac_shapes/{module.name}.py registers the shape {own.name!r}, which there is "
-                f"already ({found[own.name].__module__}); give it another name"
+                f"already ({found[own.name].__module__}); give it another name",
             )
         found[own.name] = own
     return found
@@ -49,7 +50,8 @@ def family(name: str) -> type[Surface]:
         near = get_close_matches(name, REGISTRY, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise DesignError(
-            f"shape {name!r} is not registered{hint} (known: {', '.join(sorted(REGISTRY))})"
+            "shape-unknown",
+            f"shape {name!r} is not registered{hint} (known: {', '.join(sorted(REGISTRY))})",
         )
     return REGISTRY[name]
 

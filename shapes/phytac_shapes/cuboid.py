@@ -53,14 +53,16 @@ class Cuboid(Surface):
         least = min(self.width_mm, self.depth_mm)
         if 2.0 * self.edge_radius_mm >= least:
             raise DesignError(
+                "cuboid-edge-radius",
                 f"cuboid: edge_radius_mm must be less than half of the smaller side (got "
-                f"{self.edge_radius_mm:g} for {least:g} mm); lower it, or use a cylinder"
+                f"{self.edge_radius_mm:g} for {least:g} mm); lower it, or use a cylinder",
             )
         unknown = [face for face in self.faces if face not in FACES]
         if unknown or not self.faces or len(set(self.faces)) != len(self.faces):
             raise DesignError(
+                "cuboid-faces",
                 f"cuboid: faces must be some of {', '.join(FACES)}, each once "
-                f"(got {', '.join(self.faces) or 'none'})"
+                f"(got {', '.join(self.faces) or 'none'})",
             )
 
     @cached_property

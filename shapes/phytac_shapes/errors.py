@@ -11,13 +11,29 @@ def cause_of(error: Exception) -> str:
 class PhytacError(Exception):
     """Base of every error a user can cause; the command line prints its text and exits.
 
+    Parameters
+    ----------
+    code : str
+        Stable name of the failure in kebab-case, such as ``wall-too-thin``, for programs.
+    message : str
+        Text for people, the ``str`` of the error; its wording may change.
+
     Attributes
     ----------
+    code : str
+        As given. Each code belongs to one class of errors.
     exit_code : int
         Process exit code used by the command line (see ``docs/formats.md``).
     """
 
     exit_code = 1
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(code, message)
+        self.code = code
+
+    def __str__(self) -> str:
+        return str(self.args[1])
 
 
 class DesignError(PhytacError):

@@ -46,14 +46,16 @@ class Grip(Revolved):
         check_variables(self)
         if not 2 <= len(self.diameters_mm) <= 64:
             raise DesignError(
-                f"grip: diameters_mm must have 2 to 64 numbers (got {len(self.diameters_mm)})"
+                "grip-diameter-count",
+                f"grip: diameters_mm must have 2 to 64 numbers (got {len(self.diameters_mm)})",
             )
         stations = np.linspace(0.0, self.length_mm, 1025)
         least = float(self.curve(stations)[0][:, 0].min())
         if least <= 0.0:
             raise DesignError(
+                "grip-profile-meets-axis",
                 f"grip: the profile meets the axis (radius {least:.2f} mm at its thinnest); give "
-                "diameters_mm that change less from one to the next, or more of them"
+                "diameters_mm that change less from one to the next, or more of them",
             )
 
     @cached_property

@@ -44,8 +44,9 @@ class Patch(Surface):
         rows = {len(row) for row in self.points_mm}
         if len(self.points_mm) < 2 or len(rows) != 1 or min(rows) < 2:
             raise DesignError(
+                "patch-grid-invalid",
                 "patch: points_mm must be a grid of at least 2 x 2 points with rows of one length "
-                f"(got rows of {sorted(rows)} points, {len(self.points_mm)} rows)"
+                f"(got rows of {sorted(rows)} points, {len(self.points_mm)} rows)",
             )
         check_variables(self)
         uv = self._lattice(4)
@@ -53,14 +54,16 @@ class Patch(Surface):
         size = np.linalg.norm(across, axis=1)
         if not float(size.min()) > 1e-6 * float(size.max()):
             raise DesignError(
+                "patch-folds",
                 f"patch: the face folds or has no area at some place (got {size.min():.3g} mm² per "
                 f"cell there, {size.max():.3g} mm² where it is largest); space points_mm apart, "
-                "not all on a line"
+                "not all on a line",
             )
         if float(across[:, 2].sum()) < 0.0:
             raise DesignError(
+                "patch-inside-out",
                 "patch: the face is inside out (d/dv × d/du must point away from the camera, "
-                "towards +z); reverse the order of the rows of points_mm"
+                "towards +z); reverse the order of the rows of points_mm",
             )
 
     @cached_property

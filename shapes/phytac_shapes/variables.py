@@ -46,6 +46,7 @@ def check_variables(shape: Any) -> None:
         if np.any(bad):
             got = float(values[bad].ravel()[0])
             raise DesignError(
+                "shape-variable-range",
                 f"{shape.name}: {item.name} must lie between {low:g} and {high:g} (got {got:g}); "
-                "correct it in the [shape] table"
+                "correct it in the [shape] table",
             )

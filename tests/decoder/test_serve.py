@@ -245,18 +245,21 @@ def test_what_is_published_last_is_not_lost() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "reason"),
+    ("error", "end"),
     [
-        (InputError("camera 3 has given no frame"), "camera 3 has given no frame"),
-        (KeyboardInterrupt(), "stopped"),
+        (
+            InputError("camera-silent", "camera 3 has given no frame"),
+            {"reason": "camera 3 has given no frame", "code": "camera-silent"},
+        ),
+        (KeyboardInterrupt(), {"reason": "stopped"}),
     ],
 )
-def test_clients_get_the_reason_of_the_end(error: BaseException, reason: str) -> None:
+def test_clients_get_the_reason_of_the_end(error: BaseException, end: dict[str, str]) -> None:
     server = StreamServer(HELLO, port=0)
     client = Client(server)
     with pytest.raises(type(error)), server:
         raise error
-    assert client.all()[-1] == {"type": "end", "reason": reason, "dropped": 0}
+    assert client.all()[-1] == {"type": "end", **end, "dropped": 0}
 
 
 def test_numbers_that_are_not_finite_are_rejected() -> None:

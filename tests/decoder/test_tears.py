@@ -135,7 +135,7 @@ def frame(number: int, image: ImageArray) -> Frame:
 def test_a_checked_decoder_adds_the_warning() -> None:
     def decode(given: Frame) -> Reading:
         if given.number == 1:
-            raise InputError("black")
+            raise InputError("frame-rejected", "black")
         nothing = np.zeros(0)
         return Reading(koi=nothing.astype(np.int64), forces_N=nothing, warnings=["dark"])
 

@@ -39,7 +39,7 @@ def no_cad(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine without the libraries that CadQuery links."""
 
     def missing() -> None:
-        raise MissingPartError("no CAD: libGL.so.1 is missing")
+        raise MissingPartError("missing-library", "no CAD: libGL.so.1 is missing")
 
     monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.cadquery", missing)
 

@@ -129,7 +129,7 @@ def test_what_a_reader_must_not_do_is_found(tmp_path: Path) -> None:
             pass
 
     def talk() -> None:
-        raise InputError("x" * 30_000)
+        raise InputError("long-text", "x" * 30_000)
 
     with little_memory():
         assert str(fault_of(blow_up)[0]).startswith("MemoryError")

@@ -50,7 +50,7 @@ def test_memory_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_other_errors_stay_what_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing() -> None:
-        raise MissingPartError("no CadQuery")
+        raise MissingPartError("missing-library", "no CadQuery")
 
     stand_in(monkeypatch, missing)
     with pytest.raises(MissingPartError, match="no CadQuery"):

@@ -184,7 +184,7 @@ def test_the_line_search_alone_also_arrives(monkeypatch: pytest.MonkeyPatch) -> 
         system: System, start: Equilibrium, control: Control, *, predict: bool
     ) -> Equilibrium:
         if predict:
-            raise newton.NotConvergedError("left out")
+            raise newton.NotConvergedError("left-out", "left out")
         return plain(system, start, control, predict=False)
 
     monkeypatch.setattr(newton, "_iterate", only_searched)

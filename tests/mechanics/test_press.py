@@ -133,7 +133,7 @@ def test_more_than_the_shell_carries_is_refused() -> None:
 
 def test_no_equilibrium_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
-        raise NumericalError("the path ends at 0.6")
+        raise NumericalError("no-equilibrium", "the path ends at 0.6")
 
     monkeypatch.setattr(module, "solve_large", fails)
     with pytest.raises(NumericalError, match=r"30 N .* more than .*: no equilibrium .* at 0\.6"):

@@ -111,7 +111,7 @@ def test_what_cannot_be_solved_is_left_to_the_series(monkeypatch: pytest.MonkeyP
     )
 
     def broken(*_: object) -> float:
-        raise NumericalError("an element is distorted")
+        raise NumericalError("element-distorted", "an element is distorted")
 
     monkeypatch.setattr(shell.shell, "gap", broken)
     monkeypatch.setattr(shell, "_large", lambda *_: [])

@@ -195,7 +195,7 @@ def test_what_cannot_be_solved_says_why(large: Solver, monkeypatch: pytest.Monke
         assert np.isnan(found.error_estimate)
 
     def broken(*_: Any, **__: Any) -> None:
-        raise NumericalError("no such luck")
+        raise NumericalError("no-such-luck", "no such luck")
 
     monkeypatch.setattr(solver_module, "indentation_loads", broken)
     assert solved(large, (*MIDDLE, 4.0, 5.0)).reason == "no such luck"

@@ -51,7 +51,7 @@ if mode == "stubborn":
     Path("ready").write_text("")
     time.sleep(60)
 if mode == "bad":
-    print("error: the wall is too thin; thicken it", file=sys.stderr); sys.exit(2)
+    print("error[wall-too-thin]: the wall is too thin; thicken it", file=sys.stderr); sys.exit(2)
 if mode == "crash":
     raise ValueError("deep inside")
 (out / "report").mkdir(parents=True, exist_ok=True)

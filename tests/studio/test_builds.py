@@ -83,7 +83,10 @@ def test_a_build_is_followed_to_its_report(client: Client, program: Path, data: 
 
 @pytest.mark.parametrize(
     ("mode", "why"),
-    [("bad", "error: the wall is too thin; thicken it"), ("crash", "ValueError: deep inside")],
+    [
+        ("bad", "error[wall-too-thin]: the wall is too thin; thicken it"),
+        ("crash", "ValueError: deep inside"),
+    ],
 )
 def test_a_build_that_fails_says_why(
     client: Client, program: Path, data: Json, mode: str, why: str

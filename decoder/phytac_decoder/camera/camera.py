@@ -136,16 +136,18 @@ def fit_distance_mm(
 
     if not (least_mm > 0.0 and half > 0.0):
         raise DesignError(
+            "camera-fit-size-invalid",
             f"camera fit needs positive sizes (got a least distance of {least_mm} mm, an image of "
-            f"{lens.width_px} x {lens.height_px} px, fill {fill})"
+            f"{lens.width_px} x {lens.height_px} px, fill {fill})",
         )
     low, high = least_mm, least_mm
     while not fits(high):
         low, high = high, 2.0 * high
         if high > 1e6 * least_mm:
             raise DesignError(
+                "camera-fit-unreachable",
                 f"no camera distance up to {high:.3g} mm brings the near edge into {fill:g} of the "
-                "image; check the lens's focal length and distortion"
+                "image; check the lens's focal length and distortion",
             )
     if low == high:
         return least_mm

@@ -61,21 +61,24 @@ class Lens(ABC):
         sizes = (self.width_px, self.height_px, self.fx_px, self.fy_px)
         if not (np.isfinite(numbers).all() and min(sizes) > 0):
             raise DesignError(
+                "lens-not-finite",
                 "camera: every number of the lens must be finite and its sizes positive (got "
                 f"{self.width_px} x {self.height_px} px, focal lengths {self.fx_px:g} and "
                 f"{self.fy_px:g} px, centre {self.cx_px:g}, {self.cy_px:g} px, distortion "
-                f"{self.distortion})"
+                f"{self.distortion})",
             )
         if len(self.distortion) not in self.counts:
             wanted = " or ".join(str(n) for n in self.counts)
             raise DesignError(
+                "lens-distortion-count",
                 f"camera: model {self.model!r} takes {wanted} distortion coefficients (got "
-                f"{len(self.distortion)}); see docs/formats.md for their order"
+                f"{len(self.distortion)}); see docs/formats.md for their order",
             )
         if self.field_rad <= 0.0:
             raise DesignError(
+                "lens-distortion-folds",
                 f"camera: the distortion {self.distortion} folds the image over at its very "
-                "centre; check the order and the signs of the coefficients"
+                "centre; check the order and the signs of the coefficients",
             )
 
     @property
@@ -291,8 +294,9 @@ class Omnidirectional(Lens):
     def __post_init__(self) -> None:
         if len(self.distortion) in self.counts and not self.distortion[0] >= 0.0:
             raise DesignError(
+                "lens-xi-negative",
                 f"camera: the omnidirectional model's first coefficient ξ must be 0 or more (got "
-                f"{self.distortion[0]:g})"
+                f"{self.distortion[0]:g})",
             )
         super().__post_init__()
 

@@ -79,8 +79,9 @@ class ForceModel:
         """
         if self.locator is None:
             raise InputError(
+                "response-tables-missing",
                 "this bundle has no tables to find contacts with (estimator auto); build the "
-                "design again"
+                "design again",
             )
         return self.locator.find(shift_px, koi, before=before)
 

@@ -124,7 +124,9 @@ def load_regions(
     tables = data.get("regions")
     if unknown or not isinstance(tables, list) or not tables:
         got = f"unknown key {_short(unknown[0])}" if unknown else "no list of regions"
-        raise InputError(f"{path}: {got}; write one or more [[regions]] and nothing else")
+        raise InputError(
+            "regions-file-invalid", f"{path}: {got}; write one or more [[regions]] and nothing else"
+        )
     return resolve_regions(tables, f"{path}: ", position_mm, chart)
 
 
@@ -153,7 +155,7 @@ def resolve_regions(
         name = _name(table, label)
         found.setdefault(name, set()).update(_selected(table, label, position_mm, chart).tolist())
     if len(found) > REGIONS_MAX:
-        raise InputError(f"{where}{len(found)} regions; {REGIONS_MAX} at most")
+        raise InputError("regions-too-many", f"{where}{len(found)} regions; {REGIONS_MAX} at most")
     return tuple(Region(name=name, markers=tuple(sorted(ids))) for name, ids in found.items())
 
 
@@ -185,30 +187,41 @@ def _read(path: Path) -> dict[str, Any]:
         text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"no regions at {path} ({reason}); give a TOML or JSON file") from None
+        raise InputError(
+            "file-unreadable", f"no regions at {path} ({reason}); give a TOML or JSON file"
+        ) from None
     try:
         data = json.loads(text) if path.suffix.lower() == ".json" else toml_table(text)
     except (ValueError, RecursionError) as error:
         kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
-        raise InputError(f"{path} is no {kind}: {cause_of(error)}") from None
+        raise InputError("file-syntax", f"{path} is no {kind}: {cause_of(error)}") from None
     if not isinstance(data, dict):
-        raise InputError(f"{path}: no table of regions; see docs/streaming.md")
+        raise InputError(
+            "regions-file-invalid", f"{path}: no table of regions; see docs/streaming.md"
+        )
     return data
 
 
 def _name(table: object, where: str) -> str:
     if not isinstance(table, dict):
-        raise InputError(f"{where}: a region is a table (got {_short(table)})")
+        raise InputError("region-not-table", f"{where}: a region is a table (got {_short(table)})")
     unknown = sorted(set(table) - set(KEYS))
     if unknown:
-        raise InputError(f"{where}: unknown key {_short(unknown[0])}; known: {', '.join(KEYS)}")
+        raise InputError(
+            "region-unknown-key",
+            f"{where}: unknown key {_short(unknown[0])}; known: {', '.join(KEYS)}",
+        )
     name = table.get("name")
     if not isinstance(name, str) or not 1 <= len(name) <= NAME_MAX or not name.isprintable():
         raise InputError(
-            f"{where}: name must be 1 to {NAME_MAX} printable letters (got {_short(name)})"
+            "region-name-invalid",
+            f"{where}: name must be 1 to {NAME_MAX} printable letters (got {_short(name)})",
         )
     if name != name.strip():
-        raise InputError(f"{where}: name {name!r} begins or ends with a space; take it away")
+        raise InputError(
+            "region-name-invalid",
+            f"{where}: name {name!r} begins or ends with a space; take it away",
+        )
     return name
 
 
@@ -218,9 +231,12 @@ def _selected(
     """Markers (m,) that meet all conditions of a table."""
     given = [key for key in SELECTORS if key in table]
     if not given:
-        raise InputError(f"{where}: no condition; give one or more of {', '.join(SELECTORS)}")
+        raise InputError(
+            "region-without-condition",
+            f"{where}: no condition; give one or more of {', '.join(SELECTORS)}",
+        )
     if ("point_mm" in table) != ("radius_mm" in table):
-        raise InputError(f"{where}: point_mm and radius_mm go together")
+        raise InputError("region-point-incomplete", f"{where}: point_mm and radius_mm go together")
     count = len(position_mm)
     inside = np.ones(count, dtype=np.bool_)
     for key in given:
@@ -230,20 +246,26 @@ def _selected(
         elif key == "point_mm":
             (radius,) = _numbers([table["radius_mm"]], f"{where}.radius_mm", 1)
             if not radius > 0.0:
-                raise InputError(f"{label}: radius_mm must be above 0 (got {radius:g})")
+                raise InputError(
+                    "region-radius-not-positive",
+                    f"{label}: radius_mm must be above 0 (got {radius:g})",
+                )
             away = np.linalg.norm(position_mm - _numbers(value, label, 3), axis=1)
             inside &= away <= radius
         elif chart is None:
             raise InputError(
+                "region-needs-design",
                 f"{label}: rows, columns and shares are known from the design alone; give the "
-                "design as well, or use markers or point_mm"
+                "design as well, or use markers or point_mm",
             )
         elif key in {"rows", "columns"}:
             inside &= _in_range(value, label, chart.row if key == "rows" else chart.column)
         else:
             inside &= _in_share(value, label, chart, key)
     if not inside.any():
-        raise InputError(f"{where} ({table['name']!r}): no marker lies there; widen it")
+        raise InputError(
+            "region-empty", f"{where} ({table['name']!r}): no marker lies there; widen it"
+        )
     return np.flatnonzero(inside)
 
 
@@ -251,7 +273,10 @@ def _ids(value: object, label: str, count: int) -> list[int]:
     ids: list[Any] = value if isinstance(value, list) else []
     good = all(isinstance(i, int) and not isinstance(i, bool) and 0 <= i < count for i in ids)
     if not good or not ids:
-        raise InputError(f"{label}: a list of markers, 0 to {count - 1} (got {_short(value)})")
+        raise InputError(
+            "region-markers-invalid",
+            f"{label}: a list of markers, 0 to {count - 1} (got {_short(value)})",
+        )
     return ids
 
 
@@ -263,7 +288,7 @@ def _numbers(value: object, label: str, count: int) -> list[float]:
     ]
     if len(items) != count or not all(good):
         word = "a number" if count == 1 else f"{count} numbers in a list"
-        raise InputError(f"{label}: {word} (got {_short(value)})")
+        raise InputError("region-number-invalid", f"{label}: {word} (got {_short(value)})")
     return [float(item) for item in items]
 
 
@@ -271,7 +296,9 @@ def _in_range(value: object, label: str, of: IntArray) -> BoolArray:
     """Markers (n,) whose row or column lies between the first and last given."""
     first, last = _numbers(value, label, 2)
     if first > last or first < 0 or first != int(first) or last != int(last):
-        raise InputError(f"{label}: first and last, counted from 0 (got {_short(value)})")
+        raise InputError(
+            "region-range-invalid", f"{label}: first and last, counted from 0 (got {_short(value)})"
+        )
     return np.asarray((of >= first) & (of <= last))
 
 
@@ -281,7 +308,10 @@ def _in_share(value: object, label: str, chart: MarkerChart, key: str) -> BoolAr
     low, high = _numbers(value, label, 2)
     if not (0.0 <= low <= 1.0 and 0.0 <= high <= 1.0) or (low > high and not closed):
         wrap = " (from above to, over the seam, where the surface closes around)" if closed else ""
-        raise InputError(f"{label}: shares from and to, 0 to 1{wrap} (got {_short(value)})")
+        raise InputError(
+            "region-share-invalid",
+            f"{label}: shares from and to, 0 to 1{wrap} (got {_short(value)})",
+        )
     if low <= high:
         return np.asarray((of >= low) & (of <= high))
     return np.asarray((of >= low) | (of <= high))

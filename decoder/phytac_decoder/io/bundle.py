@@ -246,20 +246,23 @@ def load_bundle(folder: Path) -> Bundle:
         arrays = load_file(folder / "bundle.safetensors")
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
-            f"{folder}/bundle.safetensors cannot be read ({cause_of(error)}); rebuild the decoder"
+            "bundle-unreadable",
+            f"{folder}/bundle.safetensors cannot be read ({cause_of(error)}); rebuild the decoder",
         ) from error
     try:
         bundle = _assemble(meta, arrays, folder)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(
+            "bundle-invalid",
             f"{folder}/bundle.json is not a decoder bundle: {describe_fault(error)}; rebuild the "
-            "decoder"
+            "decoder",
         ) from error
     # An interrupted copy leaves files of two decoders. Up to schema 1.10 there was no hash.
     if "arrays_sha256" in meta and meta["arrays_sha256"] != _sha256(folder):
         raise InputError(
+            "bundle-files-differ",
             f"{folder}: bundle.json and bundle.safetensors are of two decoders; build or train "
-            "this one again"
+            "this one again",
         )
     return bundle
 
@@ -270,26 +273,32 @@ def _read_meta(folder: Path) -> dict[str, Any]:
         meta = json.loads(read_text(path, bytes_max=META_BYTES_MAX), parse_constant=reject_constant)
     except OSError as error:
         raise InputError(
+            "bundle-not-found",
             f"no decoder bundle in {folder} ({error.strerror}); give the folder that holds "
-            "bundle.json, such as exports/cylinder60/decoder"
+            "bundle.json, such as exports/cylinder60/decoder",
         ) from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON ({cause_of(error)}); rebuild the decoder") from error
+        raise InputError(
+            "bundle-unreadable", f"{path} is not JSON ({cause_of(error)}); rebuild the decoder"
+        ) from error
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise InputError(
+            "bundle-unknown-format",
             f"{path} is not a decoder bundle (format is not {FORMAT!r}); give the folder of a "
-            "decoder, such as exports/cylinder60/decoder"
+            "decoder, such as exports/cylinder60/decoder",
         )
     try:
         major, minor = (int(part) for part in str(meta["schema_version"]).split("."))
     except (KeyError, ValueError) as error:
         raise InputError(
-            f"{path} has no schema_version such as '{SCHEMA[0]}.{SCHEMA[1]}'; rebuild the decoder"
+            "bundle-schema-version",
+            f"{path} has no schema_version such as '{SCHEMA[0]}.{SCHEMA[1]}'; rebuild the decoder",
         ) from error
     if major != SCHEMA[0] or minor > SCHEMA[1]:
         raise InputError(
+            "bundle-schema-version",
             f"{path} has schema {major}.{minor}, this decoder reads {SCHEMA[0]}.0 to "
-            f"{SCHEMA[0]}.{SCHEMA[1]}; update phytac-design or rebuild the bundle"
+            f"{SCHEMA[0]}.{SCHEMA[1]}; update phytac-design or rebuild the bundle",
         )
     return meta
 
@@ -298,13 +307,17 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
     """Check the arrays and make the bundle."""
     count = int(meta["markers"])
     if "rest_px" not in arrays:
-        raise InputError(f"{folder}/bundle.safetensors lacks 'rest_px'; rebuild the decoder")
+        raise InputError(
+            "bundle-array-missing",
+            f"{folder}/bundle.safetensors lacks 'rest_px'; rebuild the decoder",
+        )
     rows = len(np.atleast_1d(arrays["rest_px"]))
     # Before any array is made of that size.
     if count != rows:
         raise InputError(
+            "bundle-array-shape",
             f"{folder}/bundle.safetensors: rest_px has {rows} rows, expected {count} for {count} "
-            "markers; the two files are of different builds"
+            "markers; the two files are of different builds",
         )
     # Up to schema 1.2 there was one camera and one threshold.
     tables = meta.get("cameras", [meta["camera"]])

@@ -48,8 +48,9 @@ def camera_from(table: dict[str, Any], folder: Path) -> Camera:
     rotation = np.asarray(table["rotation"], dtype=np.float64)
     if rotation.shape != (3, 3) or len(pose) != 12 or not np.isfinite(pose).all():
         raise InputError(
+            "bundle-camera-pose",
             f"{folder}/bundle.json: the camera's pose must be 3 + 9 finite numbers; rebuild the "
-            "decoder"
+            "decoder",
         )
     try:
         lens = LENSES[table["model"]](
@@ -62,7 +63,9 @@ def camera_from(table: dict[str, Any], folder: Path) -> Camera:
             distortion=tuple(float(value) for value in table.get("distortion", ())),
         )
     except DesignError as error:
-        raise InputError(f"{folder}/bundle.json: {error}; rebuild the decoder") from error
+        raise InputError(
+            error.code, f"{folder}/bundle.json: {error}; rebuild the decoder"
+        ) from error
     return Camera(
         lens=lens,
         position_mm=np.asarray(table["position_mm"], dtype=np.float64),

@@ -56,8 +56,9 @@ def check_bundle(
     where, n = f"{folder}/bundle.safetensors", markers
     if not 1 <= cameras <= 2:
         raise InputError(
+            "bundle-camera-count",
             f"{folder}/bundle.json has {cameras} cameras, a sensor has one or two; rebuild the "
-            "decoder"
+            "decoder",
         )
     shapes = {name: shape for name, (_, shape) in ARRAYS.items()}
     shapes |= {f"network.{name}": (parameter_count(),) for name in sorted(networks)}
@@ -73,15 +74,17 @@ def check_bundle(
     for name, low, high in (("neighbours", -1, n), ("colour", 0, colours), ("read_by", 0, cameras)):
         if arrays[name].min(initial=low) < low or arrays[name].max(initial=low) >= high:
             raise InputError(
-                f"{where}: {name} points beyond the bundle's {high} entries; rebuild the decoder"
+                "bundle-id-invalid",
+                f"{where}: {name} points beyond the bundle's {high} entries; rebuild the decoder",
             )
     if cameras == 2:
         own = arrays["shown_rest_px"][arrays["read_by"], np.arange(n)]
         hidden = np.flatnonzero(~np.isfinite(own).all(axis=1))
         if len(hidden):
             raise InputError(
+                "bundle-marker-hidden",
                 f"{where}: marker {hidden[0]} is read by a camera that does not show it; rebuild "
-                "the decoder"
+                "the decoder",
             )
 
 
@@ -119,7 +122,9 @@ def check_arrays(
     """
     for name, shape in shapes.items():
         if name not in arrays:
-            raise InputError(f"{where} lacks '{prefix}{name}'; rebuild the decoder")
+            raise InputError(
+                "bundle-array-missing", f"{where} lacks '{prefix}{name}'; rebuild the decoder"
+            )
         array, kind = arrays[name], np.dtype(kinds.get(name, np.float64))
         for size, length in zip(shape, array.shape, strict=False):
             if isinstance(size, str):
@@ -127,15 +132,19 @@ def check_arrays(
         expected = tuple(sizes.get(size, 0) if isinstance(size, str) else size for size in shape)
         if array.shape != expected:
             raise InputError(
+                "bundle-array-shape",
                 f"{where}: {prefix}{name} has shape {array.shape}, expected {expected}; the two "
-                "files are of different builds"
+                "files are of different builds",
             )
         if array.dtype != kind:
             raise InputError(
-                f"{where}: {prefix}{name} is {array.dtype}, expected {kind}; rebuild the decoder"
+                "bundle-array-type",
+                f"{where}: {prefix}{name} is {array.dtype}, expected {kind}; rebuild the decoder",
             )
         if name not in partial and not np.isfinite(array).all():
-            raise InputError(f"{where}: {prefix}{name} holds numbers that are not finite")
+            raise InputError(
+                "bundle-not-finite", f"{where}: {prefix}{name} holds numbers that are not finite"
+            )
 
 
 def describe_fault(error: Exception) -> str:

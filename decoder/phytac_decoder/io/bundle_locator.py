@@ -198,18 +198,21 @@ def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) 
     check_arrays(own, shapes, sizes, where=where, kinds=kinds, prefix=PREFIX)
     if sizes["places"] < PLACES_MIN:
         raise InputError(
-            f"{where}: {PREFIX}point_mm has {sizes['places']} places; rebuild the decoder"
+            "bundle-array-shape",
+            f"{where}: {PREFIX}point_mm has {sizes['places']} places; rebuild the decoder",
         )
     # Powers of v from 0; all but the first have rows in shift_px.
     if not 1 < sizes.get("powers", 2) <= max(sizes["orders"], 2):
         raise InputError(
+            "bundle-array-shape",
             f"{where}: {PREFIX}{WALL}slopes has {sizes['powers']} powers, and the tables have "
-            f"{sizes['orders']} orders; the two files are of different builds"
+            f"{sizes['orders']} orders; the two files are of different builds",
         )
     for name, high in ((WALL + "most", 1.0), (RATIO, np.inf)):
         wrong = own[name][~((own[name] > 0.0) & (own[name] < high))] if name in own else ()
         if len(wrong):
             kind = "a number between 0 and 1" if high == 1.0 else "numbers above zero"
             raise InputError(
-                f"{where}: {PREFIX}{name} holds {wrong[0]:g}, expected {kind}; rebuild the decoder"
+                "bundle-value-invalid",
+                f"{where}: {PREFIX}{name} holds {wrong[0]:g}, expected {kind}; rebuild the decoder",
             )

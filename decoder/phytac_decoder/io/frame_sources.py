@@ -62,13 +62,17 @@ class RecordingSource(Source):
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         if fps is not None and not 0.0 < fps <= 1e6:
-            raise InputError(f"a rate lies above 0 and up to 1e6 fps (got {fps:g}); change --fps")
+            raise InputError(
+                "frame-rate-invalid",
+                f"a rate lies above 0 and up to 1e6 fps (got {fps:g}); change --fps",
+            )
         counts = {track.count for track in tracks}
         self._steps = SynchronisedTracks(tracks, report)
         if len(counts) > 1 and None not in counts and not self._steps.by_time:
             said = " and ".join(f"{track.count} in {track.description}" for track in tracks)
             raise InputError(
-                f"frames of two cameras come in pairs (got {said}); give as many of each"
+                "camera-count",
+                f"frames of two cameras come in pairs (got {said}); give as many of each",
             )
         self._tracks, self._fps, self._every, self._loop = tracks, fps, every, loop
         self._report, self._clock_s, self._sleep = report, clock, sleep
@@ -90,7 +94,9 @@ class RecordingSource(Source):
             steps = self._steps.grab(number)
             if not steps:
                 if not useful:
-                    raise InputError(f"not one frame of {self.description} could be read")
+                    raise InputError(
+                        "no-frames-read", f"not one frame of {self.description} could be read"
+                    )
                 if not self._loop:
                     return
                 useful = 0
@@ -186,16 +192,22 @@ def open_source(
         If there is no such source, or two do not fit together.
     """
     if not 1 <= len(wheres) <= 2:
-        raise InputError(f"frames come from one camera or two (got {len(wheres)} sources)")
+        raise InputError(
+            "camera-count", f"frames come from one camera or two (got {len(wheres)} sources)"
+        )
     cameras = [_device(where) for where in wheres]
     devices = [device for device in cameras if device is not None]
     if len(devices) == len(wheres):
         if loop or every:
-            raise InputError("a camera neither begins again nor waits; leave --loop, --every out")
+            raise InputError(
+                "camera-option-conflict",
+                "a camera neither begins again nor waits; leave --loop, --every out",
+            )
         return CameraSource(devices, fps=fps, size_px=size_px, report=report)
     if devices:
         raise InputError(
-            f"a camera and a recording do not go together (got {' and '.join(wheres)})"
+            "camera-option-conflict",
+            f"a camera and a recording do not go together (got {' and '.join(wheres)})",
         )
     tracks = [_track(Path(where)) for where in wheres]
     sleep = time.sleep if pace else lambda _seconds: None
@@ -235,7 +247,8 @@ def first_frames(
             for total, image in zip(totals, frame.images, strict=True):
                 if total.shape != image.shape:
                     raise InputError(
-                        f"frames of {source.description} differ in size; give one recording"
+                        "frame-size-varies",
+                        f"frames of {source.description} differ in size; give one recording",
                     )
                 np.add(total, image, out=total)
             got += 1
@@ -243,8 +256,9 @@ def first_frames(
         source.close()
     if got < count:
         raise InputError(
+            "rest-frames-too-few",
             f"{source.description} gave {got} frames, fewer than the {count} that show the "
-            "unloaded sensor; use fewer"
+            "unloaded sensor; use fewer",
         )
     return [np.rint(total / count).astype(np.uint8) for total in totals]
 
@@ -267,8 +281,9 @@ def _track(where: Path) -> ImageSequence:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(
+            "file-unreadable",
             f"no frames at {where} ({reason}); give an image, a folder of images, a video, or a "
-            "camera's number"
+            "camera's number",
         ) from None
     if stat.S_ISDIR(kind) or where.suffix.lower() in SUFFIXES:
         return ImageFolder(where)

@@ -57,8 +57,9 @@ class Imu:
             os.read(self._handle, 0)  # fails for a folder
         except OSError as error:
             raise InputError(
+                "file-unreadable",
                 f"no motion samples at {path} ({error.strerror}); give a file or a port of JSON "
-                'lines such as {"t": 0.01, "gyro": [0, 0, 0], "accel": [0, 0, 9.81]}'
+                'lines such as {"t": 0.01, "gyro": [0, 0, 0], "accel": [0, 0, 9.81]}',
             ) from None
         mode = os.fstat(self._handle).st_mode
         self.is_port = stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)

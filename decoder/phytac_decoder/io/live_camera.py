@@ -59,8 +59,9 @@ class CameraSource(Source):
             if not camera.isOpened():
                 self._release()
                 raise InputError(
+                    "camera-not-opened",
                     f"camera {device} cannot be opened; is it plugged in, free, and may you read "
-                    "it? (its number counts from 0; on Linux N is /dev/videoN)"
+                    "it? (its number counts from 0; on Linux N is /dev/videoN)",
                 )
             self._set_up(camera, device, fps, size_px)
         self._slot: Frame | None = None
@@ -91,7 +92,8 @@ class CameraSource(Source):
                 if self._stop:
                     return
                 raise InputError(
-                    f"{self.description} has given no frame for {SILENT_S:g} s; plug it in"
+                    "camera-silent",
+                    f"{self.description} has given no frame for {SILENT_S:g} s; plug it in",
                 )
             yield frame
 

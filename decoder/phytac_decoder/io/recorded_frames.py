@@ -84,13 +84,16 @@ class ImageFolder(ImageSequence):
             try:
                 files = [item for item in where.iterdir() if _is_image(item.name)]
             except OSError as error:
-                raise InputError(f"no frames at {where} ({error.strerror})") from None
+                raise InputError(
+                    "file-unreadable", f"no frames at {where} ({error.strerror})"
+                ) from None
         else:
             files = [where]
         if not files:
             raise InputError(
+                "folder-without-images",
                 f"{where} holds no image (got none of {', '.join(SUFFIXES)}); give the folder of "
-                "the frames themselves, or a video"
+                "the frames themselves, or a video",
             )
         stems = [item.stem for item in files]
         self.stamped = True
@@ -144,8 +147,9 @@ class VideoFile(ImageSequence):
         self._video = cv2.VideoCapture(self.description)
         if not self._video.isOpened():
             raise InputError(
+                "file-not-image",
                 f"{self.description} is not a video or image that can be read; give an image (PNG, "
-                "JPEG), a folder of images, a video, or a camera's number"
+                "JPEG), a folder of images, a video, or a camera's number",
             )
         count = float(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
         # A header with an absurd number knows none.
@@ -176,7 +180,9 @@ class VideoFile(ImageSequence):
         """Return the current image."""
         good, image = self._video.retrieve()
         if not good or image is None:
-            raise InputError(f"a frame of {self.description} cannot be decoded")
+            raise InputError(
+                "frame-not-decoded", f"a frame of {self.description} cannot be decoded"
+            )
         return np.asarray(image, dtype=np.uint8)
 
     def time_s(self) -> float:
@@ -301,18 +307,20 @@ def read_image(path: Path) -> ImageArray:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"no image at {path} ({error.strerror})") from None
+        raise InputError("file-unreadable", f"no image at {path} ({error.strerror})") from None
     # What a whole PNG or JPEG begins and ends with: OpenCV gives half an image for half a file.
     ends = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}.items()
     body = data.rstrip(b"\0")  # some cameras pad their files
     if not data or any(data.startswith(head) and not body.endswith(tail) for head, tail in ends):
-        raise InputError(f"{path} is cut off; it holds {len(data)} bytes")
+        raise InputError("image-truncated", f"{path} is cut off; it holds {len(data)} bytes")
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     except cv2.error as error:
-        raise InputError(f"{path} cannot be decoded ({error.err})") from None
+        raise InputError("frame-not-decoded", f"{path} cannot be decoded ({error.err})") from None
     if image is None:
-        raise InputError(f"{path} is not an image that can be read (PNG, JPEG, BMP, TIFF)")
+        raise InputError(
+            "file-not-image", f"{path} is not an image that can be read (PNG, JPEG, BMP, TIFF)"
+        )
     return np.asarray(image, dtype=np.uint8)
 
 

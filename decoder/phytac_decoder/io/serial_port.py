@@ -28,7 +28,8 @@ class SerialPort:
             import tty
         except ImportError:
             raise InputError(
-                "serial ports need a POSIX system; leave --serial out and forward the TCP stream"
+                "serial-unsupported",
+                "serial ports need a POSIX system; leave --serial out and forward the TCP stream",
             ) from None
         rates = {
             int(name[1:]): getattr(termios, name)
@@ -38,15 +39,17 @@ class SerialPort:
         if baud not in rates:
             near = sorted(sorted(rates, key=lambda rate: abs(rate - baud))[:3])
             raise InputError(
-                f"no rate of {baud} bits a second; nearest: {', '.join(map(str, near))}"
+                "serial-baud-rate",
+                f"no rate of {baud} bits a second; nearest: {', '.join(map(str, near))}",
             )
         self.name = str(path)
         try:
             self._handle = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError as error:
             raise InputError(
+                "serial-not-opened",
                 f"serial port {path} cannot be opened ({error.strerror}); is it plugged in, and "
-                "may you write to it?"
+                "may you write to it?",
             ) from None
         try:
             tty.setraw(self._handle)
@@ -59,7 +62,8 @@ class SerialPort:
         except termios.error as error:
             self.close()
             raise InputError(
-                f"{path} is no serial port ({error.args[-1]}); give a device such as /dev/ttyUSB0"
+                "serial-not-a-port",
+                f"{path} is no serial port ({error.args[-1]}); give a device such as /dev/ttyUSB0",
             ) from None
 
     def fileno(self) -> int:

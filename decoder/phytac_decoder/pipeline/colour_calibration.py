@@ -203,9 +203,10 @@ def _full(model: ColourModel, centre: FloatArray, seen: IntArray) -> FloatArray:
     apart = float(np.degrees(np.arccos(np.clip(cosine[i, j], -1.0, 1.0))))
     if apart < SETTINGS.separation_min_deg:
         raise InputError(
+            "colours-not-separable",
             f"{model.names[i]} and {model.names[j]} cannot be distinguished in the rest frame: "
             f"their hues are {apart:.0f} degrees apart (needed: {SETTINGS.separation_min_deg:g}); "
-            "set the camera's white balance, and its exposure so that paint is not clipped"
+            "set the camera's white balance, and its exposure so that paint is not clipped",
         )
     return full
 
@@ -248,9 +249,10 @@ def _floor(model: ColourModel, chroma: FloatArray, seen: IntArray) -> float:
         if (painted(floor) <= np.minimum(steady, most)).all():
             return float(floor)
     raise InputError(
+        "paint-contrast-low",
         f"paint does not stand out of the rest frame: its chroma is {full.min():.0f} grey levels, "
         "and wall or noise have as much; give more light or a longer exposure, and set the "
-        "camera's white balance"
+        "camera's white balance",
     )
 
 
@@ -259,6 +261,7 @@ def _check_seen(model: ColourModel, level: FloatArray, paint: IntArray) -> None:
         shows = np.isfinite(level[paint == k, 0])
         if shows.mean() < SETTINGS.shown_min:
             raise InputError(
+                "markers-without-colour",
                 f"{int(shows.sum())} of {len(shows)} {model.names[k]} markers show their colour in "
-                "the rest frame; is it in colour, lit, in focus, and of this sensor?"
+                "the rest frame; is it in colour, lit, in focus, and of this sensor?",
             )

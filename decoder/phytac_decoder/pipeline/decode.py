@@ -169,7 +169,9 @@ def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ..
             each = f"{wanted} cameras"
             fix = "give one frame of each, taken at the same time, the near end's first"
         number = "1 frame" if len(given) == 1 else f"{len(given)} frames"
-        raise InputError(f"the sensor {bundle.design!r} has {each} (got {number}); {fix}")
+        raise InputError(
+            "camera-count", f"the sensor {bundle.design!r} has {each} (got {number}); {fix}"
+        )
     return given
 
 
@@ -203,9 +205,10 @@ def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Match
     blobs = segment(image_bgr, bundle.colours)
     if len(blobs.colour) > BLOBS_MAX * len(bundle.colour):
         raise InputError(
+            "blobs-too-many",
             f"the image{bundle.of_camera(number)} shows {len(blobs.colour)} coloured blobs for "
             f"{len(bundle.colour)} markers; is this a frame of the sensor {bundle.design!r}, in "
-            "focus?"
+            "focus?",
         )
     matched = match_markers(
         blobs,
@@ -217,8 +220,9 @@ def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Match
     if len(found) and found.mean() < FOUND_MIN:
         order = ", in the right order" if len(bundle.cameras) > 1 else ""
         raise InputError(
+            "markers-not-found",
             f"found {int(found.sum())} of {len(found)} markers{bundle.of_camera(number)}; is this "
-            f"a frame of the sensor {bundle.design!r}, lit and in focus{order}?"
+            f"a frame of the sensor {bundle.design!r}, lit and in focus{order}?",
         )
     own = np.where(matched.merged[:, None], np.nan, matched.position_px)
     switch_on = read_switches(

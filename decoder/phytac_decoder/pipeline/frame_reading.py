@@ -25,6 +25,8 @@ class Reading:
         Reasons to distrust them.
     valid : bool
         Whether the frame could be decoded at all.
+    code : str
+        Code of the error that prevented it, see ``PhytacError``; empty for none.
     found : ContactDetection, optional
         Contacts, by an estimator that finds them itself (``auto``): those on switches, and those
         that tripped none.
@@ -34,13 +36,14 @@ class Reading:
     forces_N: FloatArray
     warnings: Sequence[str] = ()
     valid: bool = True
+    code: str = ""
     found: ContactDetection | None = None
 
     @classmethod
-    def none(cls, reason: str) -> "Reading":
-        """Reading of a frame that could not be decoded, with the reason."""
+    def none(cls, reason: str, code: str = "") -> "Reading":
+        """Reading of a frame that could not be decoded, with the reason and the error's code."""
         nothing: IntArray = np.zeros(0, dtype=np.int64)
-        return cls(koi=nothing, forces_N=np.zeros(0), warnings=(reason,), valid=False)
+        return cls(koi=nothing, forces_N=np.zeros(0), warnings=(reason,), valid=False, code=code)
 
     @property
     def unswitched(self) -> list[LocatedContact]:

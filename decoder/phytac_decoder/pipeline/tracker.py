@@ -146,7 +146,9 @@ class Follower:
 
     def __init__(self, bundle: Bundle, rest: Frames, *, stride: int = 1) -> None:
         if stride not in (1, 2):
-            raise InputError(f"stride must be 1 or 2 (got {stride}); 1 reads every pixel")
+            raise InputError(
+                "stride-invalid", f"stride must be 1 or 2 (got {stride}); 1 reads every pixel"
+            )
         self._bundle = bundle
         self._cameras = [
             CameraFollower(bundle, number, frame, stride)
@@ -325,7 +327,7 @@ class CameraFollower:
         self._rejected += 1
         if self._rejected >= SETTINGS.rejected_max:
             return self.search(frame)
-        raise InputError(reason)
+        raise InputError("frame-rejected", reason)
 
     def _reason_to_reject(self, got: BoolArray, away: FloatArray, elapsed: float) -> str:
         """Why a frame is rejected; "" for a sound one."""

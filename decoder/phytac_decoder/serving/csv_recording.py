@@ -43,10 +43,13 @@ class _CsvWriter:
             self._file = path.open("xb", buffering=0)
         except FileExistsError:
             raise OutputError(
-                f"{path} is there already; give {option} another name, or remove it"
+                "output-exists",
+                f"{path} is there already; give {option} another name, or remove it",
             ) from None
         except OSError as error:
-            raise OutputError(f"{path} cannot be written ({error.strerror})") from None
+            raise OutputError(
+                "output-not-writable", f"{path} cannot be written ({error.strerror})"
+            ) from None
         try:
             self._put([columns])
         except OutputError:
@@ -72,7 +75,9 @@ class _CsvWriter:
             # Half a row would damage those before it.
             with contextlib.suppress(OSError):
                 self._file.truncate(self._whole_bytes)
-            raise OutputError(f"{self._path} cannot be written ({error.strerror})") from None
+            raise OutputError(
+                "output-not-writable", f"{self._path} cannot be written ({error.strerror})"
+            ) from None
         self._whole_bytes += len(data)
 
 

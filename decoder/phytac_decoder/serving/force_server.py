@@ -215,8 +215,10 @@ class StreamServer:
     def __exit__(
         self, _kind: type[BaseException] | None, error: BaseException | None, _trace: object
     ) -> None:
-        reason = "the source has ended" if error is None else "stopped"
-        self.close(str(error) if isinstance(error, PhytacError) else reason)
+        if isinstance(error, PhytacError):
+            self.close(str(error), error.code)
+        else:
+            self.close("the source has ended" if error is None else "stopped")
 
     @property
     def clients(self) -> int:
@@ -239,7 +241,9 @@ class StreamServer:
             If the server has failed.
         """
         if self._failed is not None:
-            raise OutputError(f"the server has stopped: {self._failed}") from self._failed
+            raise OutputError(
+                "server-stopped", f"the server has stopped: {self._failed}"
+            ) from self._failed
         text = json_bytes(message)
         with self._lock:
             if len(self._inbox) >= self.limits.queue:
@@ -254,11 +258,11 @@ class StreamServer:
         """Wait until a client has connected; whether one has."""
         return self._arrival.wait(timeout_s)
 
-    def close(self, reason: str = "stopped") -> None:
-        """Send clients the end and its reason, and close all. May be called twice."""
+    def close(self, reason: str = "stopped", code: str = "") -> None:
+        """Send clients the end, its reason and an error's code; close all. May be called twice."""
         if self._thread.is_alive() and not self._stopping.is_set():
             with contextlib.suppress(OutputError):
-                self.publish(end_message(reason))
+                self.publish(end_message(reason, code))
             self._call(self._stopping.set)
         self._thread.join(timeout=2.0 * self.limits.drain_s)
 
@@ -371,7 +375,9 @@ def _listen(host: str, port: int) -> socket.socket:
         )[0]
         listener = socket.socket(family, kind, number)
     except (OSError, OverflowError, UnicodeError) as error:
-        raise OutputError(f"cannot listen at {host!r}, port {port} ({error})") from None
+        raise OutputError(
+            "port-unavailable", f"cannot listen at {host!r}, port {port} ({error})"
+        ) from None
     try:
         # Only lets a port be taken again at once after its last owner has gone.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -381,7 +387,8 @@ def _listen(host: str, port: int) -> socket.socket:
         listener.close()
         reason = getattr(error, "strerror", None) or error
         raise OutputError(
+            "port-unavailable",
             f"cannot listen at {host}, port {port} ({reason}); give another --port, or stop the "
-            "program that uses it"
+            "program that uses it",
         ) from None
     return listener

@@ -88,7 +88,8 @@ class LiveView:
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise OutputError(
-                f"cannot listen at {LOOPBACK}, port {port} ({reason}); give another --port"
+                "port-unavailable",
+                f"cannot listen at {LOOPBACK}, port {port} ({reason}); give another --port",
             ) from None
         self.port = int(self._http.server_address[1])
         self._thread = threading.Thread(

@@ -91,7 +91,10 @@ def check_estimator(bundle: Bundle, estimator: str) -> None:
     """Raise InputError if the bundle has no such estimator."""
     known = bundle.model.estimators
     if estimator not in known:
-        raise InputError(f"the decoder has no estimator {estimator!r}; known: {', '.join(known)}")
+        raise InputError(
+            "estimator-unknown",
+            f"the decoder has no estimator {estimator!r}; known: {', '.join(known)}",
+        )
 
 
 @dataclass(kw_only=True)
@@ -216,7 +219,8 @@ class Stream:
         try:
             reading = self.decode(frame)
         except (PhytacError, cv2.error, np.linalg.LinAlgError) as error:
-            reading = Reading.none(f"the frame cannot be decoded: {error}")
+            code = error.code if isinstance(error, PhytacError) else ""
+            reading = Reading.none(f"the frame cannot be decoded: {error}", code)
         done_s = time.monotonic()
         return self.messages.frame(
             reading,

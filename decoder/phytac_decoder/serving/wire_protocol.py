@@ -20,7 +20,7 @@ from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError, cause_of
 
 FORMAT = "phytac-stream"
-VERSION = "1.2"
+VERSION = "1.3"
 FRAMINGS = ("lines", "length")
 """JSON lines, or each message after its length in bytes (4 bytes, big-endian)."""
 MESSAGE_MAX_BYTES = 1 << 24
@@ -174,6 +174,8 @@ class MessageBuilder:
             "warnings": warnings,
             "missed": missed,
         }
+        if reading.code:
+            out["code"] = reading.code
         if self.outward is not None:
             # Pressing acts along the inward normal.
             net = -(pressed.force_N @ self.outward[pressed.markers])
@@ -236,9 +238,9 @@ def _as_found(located: LocatedContact) -> Contact:
     )
 
 
-def end_message(reason: str) -> Message:
-    """The last message, with the reason why the stream ends."""
-    return {"type": "end", "reason": reason}
+def end_message(reason: str, code: str = "") -> Message:
+    """The last message, with the reason why the stream ends and the code of the error, if any."""
+    return {"type": "end", "reason": reason} | ({"code": code} if code else {})
 
 
 def _rounded(value: float, digits: int) -> float:
@@ -254,7 +256,9 @@ def json_bytes(message: Message) -> bytes:
     try:
         text = json.dumps(message, separators=(",", ":"), allow_nan=False)
     except ValueError as error:
-        raise InputError(f"a message holds a number that is not finite ({error})") from None
+        raise InputError(
+            "message-not-finite", f"a message holds a number that is not finite ({error})"
+        ) from None
     return text.encode()
 
 
@@ -262,7 +266,9 @@ def framed(text: bytes, framing: str) -> bytes:
     """One message's JSON with its framing; raises InputError if the message is too long."""
     check_framing(framing)
     if len(text) > MESSAGE_MAX_BYTES:
-        raise InputError(f"a message of {len(text)} bytes is longer than {MESSAGE_MAX_BYTES}")
+        raise InputError(
+            "message-too-long", f"a message of {len(text)} bytes is longer than {MESSAGE_MAX_BYTES}"
+        )
     return text + b"\n" if framing == "lines" else struct.pack(">I", len(text)) + text
 
 
@@ -279,7 +285,10 @@ def with_dropped(text: bytes, dropped: int) -> bytes:
 def check_framing(framing: str) -> None:
     """Raise InputError if there is no framing of this name."""
     if framing not in FRAMINGS:
-        raise InputError(f"no format {framing!r} for a stream; known: {', '.join(FRAMINGS)}")
+        raise InputError(
+            "stream-format-unknown",
+            f"no format {framing!r} for a stream; known: {', '.join(FRAMINGS)}",
+        )
 
 
 HINT = "read it in the format that phytac serve was given (--format)"
@@ -322,8 +331,9 @@ class MessageSplitter:
             ready = len(held) >= end
         if length > MESSAGE_MAX_BYTES:
             raise InputError(
+                "message-too-long",
                 f"a message of {length} bytes or more; is this a stream in the format "
-                f"{self._framing!r} of phytac serve? {HINT}"
+                f"{self._framing!r} of phytac serve? {HINT}",
             )
         if not ready:
             return None
@@ -336,11 +346,17 @@ def _parsed(text: bytes) -> Message:
     try:
         message = json.loads(text, parse_constant=_reject)
     except ValueError as error:
-        raise InputError(f"not a message of a stream: {cause_of(error)}; {HINT}") from None
+        raise InputError(
+            "message-invalid", f"not a message of a stream: {cause_of(error)}; {HINT}"
+        ) from None
     except RecursionError:
-        raise InputError(f"not a message of a stream: nested too deeply; {HINT}") from None
+        raise InputError(
+            "message-invalid", f"not a message of a stream: nested too deeply; {HINT}"
+        ) from None
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):
-        raise InputError(f"not a message of a stream: no object with a 'type'; {HINT}")
+        raise InputError(
+            "message-invalid", f"not a message of a stream: no object with a 'type'; {HINT}"
+        )
     return message
 
 

@@ -127,12 +127,14 @@ def check_image(image: ImageArray, *, width_px: int, height_px: int) -> ImageArr
     """
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(
-            f"image must be 8-bit colour (h, w, 3); got shape {image.shape}, {image.dtype}"
+            "frame-type",
+            f"image must be 8-bit colour (h, w, 3); got shape {image.shape}, {image.dtype}",
         )
     if image.shape[:2] != (height_px, width_px):
         raise InputError(
+            "frame-size",
             f"image is {image.shape[1]}x{image.shape[0]} px, the decoder was made for "
-            f"{width_px}x{height_px}; use frames of that camera mode or rebuild the design with it"
+            f"{width_px}x{height_px}; use frames of that camera mode or rebuild the design with it",
         )
     return image
 

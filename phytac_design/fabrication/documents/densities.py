@@ -27,7 +27,9 @@ def density_g_cm3(material: str) -> float | None:
     key = "resin" if material.startswith("paint-") else material
     if key not in DENSITY_g_cm3:
         known = ", ".join([*DENSITY_g_cm3, "paint-COLOUR", *unknown])
-        raise DesignError(f"no density for the material {material!r}; known: {known}")
+        raise DesignError(
+            "density-unknown", f"no density for the material {material!r}; known: {known}"
+        )
     return DENSITY_g_cm3[key]
 
 

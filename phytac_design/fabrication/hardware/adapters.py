@@ -106,9 +106,10 @@ def handle(
     edge = ring + screw.head_mm / 2.0 + BESIDE_mm
     if edge > limit_mm:
         raise DesignError(
+            "adapter-too-wide",
             f"a socket for a shaft of ø{hardware.adapter_diameter_mm:g} mm does not fit the "
             f"connector: it needs ø{2.0 * edge:.1f} mm, the connector has {2.0 * limit_mm:.1f} mm; "
-            "lower hardware.adapter_diameter_mm"
+            "lower hardware.adapter_diameter_mm",
         )
     top = low_mm - TOUCH_mm
     depth = handle_plate_mm(design) - 1.0

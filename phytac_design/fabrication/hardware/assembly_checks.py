@@ -65,28 +65,32 @@ class AssemblyChecks:
             pair, volume = max(self.meets_mm3.items(), key=lambda item: item[1])
             one, other = pair.split(" / ")
             raise DesignError(
+                "hardware-collides",
                 f"{one} and {other} of the hardware collide (they share {volume:.3g} mm³); correct "
                 "the sizes of board and lens in [hardware], or raise hardware.wall_mm or "
-                "hardware.front_room_mm"
+                "hardware.front_room_mm",
             )
         wrong = [sides for sides in self.sides if not sides.agree]
         if wrong:
             raise DesignError(
+                "screw-holes-misaligned",
                 f"the screw holes of the joint {wrong[0].joint!r} do not match: the part that "
                 f"screws pass is made for {' '.join(sorted(set(wrong[0].passing))) or 'none'}, the "
                 f"part that holds them for {' '.join(sorted(set(wrong[0].holding))) or 'none'}; "
-                "please report this design"
+                "please report this design",
             )
         if self.uncovered or self.leaks:
             raise DesignError(
+                "light-leaks",
                 f"light gets into the sensor: {self.uncovered} receptor holes that no bowl "
                 f"covers, {self.leaks} of {self.rays} lines of sight to the outside; raise "
-                "hardware.wall_mm, or switch.footprint_diameter_mm above the holes"
+                "hardware.wall_mm, or switch.footprint_diameter_mm above the holes",
             )
         if self.hidden:
             raise DesignError(
+                "hardware-hides-markers",
                 f"the hardware hides markers: it cuts {self.hidden} of {self.lines} lines of sight "
-                "from the camera; raise camera.stand_off_mm, or correct hardware.lens_length_mm"
+                "from the camera; raise camera.stand_off_mm, or correct hardware.lens_length_mm",
             )
 
 

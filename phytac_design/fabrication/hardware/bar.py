@@ -101,9 +101,10 @@ def bar(
     ring, foot = _radii_mm(design)
     if foot > limit_mm:
         raise DesignError(
+            "bar-foot-too-wide",
             f"the light bar's foot of ø{2.0 * foot:.1f} mm does not fit the connector of "
             f"{2.0 * limit_mm:.1f} mm; lower light.bar_radius_mm or choose a smaller "
-            "hardware.screw_bar"
+            "hardware.screw_bar",
         )
     length, thick = _length_mm(design, plate_mm)
     top = low_mm - TOUCH_mm

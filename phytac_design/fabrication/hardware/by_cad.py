@@ -40,7 +40,8 @@ class CadKernel:
         solids = self._raw(node).Solids()
         if not solids:
             raise NumericalError(
-                "a part of the hardware has no CAD solid; please report the design"
+                "hardware-without-solid",
+                "a part of the hardware has no CAD solid; please report the design",
             )
         return solids[0] if len(solids) == 1 else self._cq.Compound.makeCompound(solids)
 

@@ -92,18 +92,20 @@ def camera_unit(
     front = back + wall
     if max(lens, front) > stop_mm - TOUCH_mm:
         raise DesignError(
+            "camera-unit-too-long",
             f"the camera has no room before the rim: {'its lens' if lens > front else 'its mount'} "
             f"would reach {max(lens, front) - stop_mm:.1f} mm past the rim's end (camera "
             f"{-camera_mm:.1f} mm before the sensor, lens {hardware.lens_length_mm:g} mm, its "
             f"centre {hardware.lens_pupil_mm:g} mm behind its front); raise camera.stand_off_mm, "
-            "or correct hardware.lens_length_mm and hardware.lens_pupil_mm"
+            "or correct hardware.lens_length_mm and hardware.lens_pupil_mm",
         )
     if front > camera_mm:
         raise DesignError(
+            "mount-before-lens",
             "the mount's plate would stand before the lens: the lens is "
             f"{hardware.lens_length_mm:g} mm long, plate and parts on the board take "
             f"{wall + hardware.front_room_mm:g} mm; lower hardware.wall_mm or "
-            "hardware.front_room_mm"
+            "hardware.front_room_mm",
         )
     joint, extra = _joint(design, board, back, label=label, mount=mount)
     floor = board - hardware.board_thickness_mm - hardware.back_room_mm - wall - extra
@@ -299,8 +301,9 @@ def check_cavity(design: Design, half_mm: float, part: str, *, ring: bool) -> No
     for what, diameter, radius, field in sizes:
         if radius > half_mm:
             raise DesignError(
+                "hardware-part-too-wide",
                 f"the {what} of ø{diameter:g} mm does not fit the {part}, which is "
-                f"{2.0 * half_mm:.1f} mm wide inside; lower hardware.{field}"
+                f"{2.0 * half_mm:.1f} mm wide inside; lower hardware.{field}",
             )
 
 

@@ -47,8 +47,9 @@ def _tube(design: Design, surface: Surface) -> HardwareAssembly:
         kit = kit + (own.at_far(end.root_z_mm) if number else own)
     if design.hardware.adapter == "handle" and len(cameras) == len(ends):
         raise DesignError(
+            "adapter-end-occupied",
             "a socket for a shaft needs an end without a camera (got hardware.adapter = "
-            '"handle"); set it to "none"'
+            '"handle"); set it to "none"',
         )
     if bar and len(cameras) == len(ends):
         why = "the bar would have to be held before a camera, where its arms hide markers"
@@ -69,7 +70,8 @@ def _tip_mm(design: Design, surface: Surface, end: End, *, bar: bool) -> float:
 def _sheet(design: Design, surface: Surface) -> HardwareAssembly:
     if design.hardware.adapter == "handle":
         raise DesignError(
-            'a sheet has no end for a shaft (got hardware.adapter = "handle"); set it to "none"'
+            "adapter-on-sheet",
+            'a sheet has no end for a shaft (got hardware.adapter = "handle"); set it to "none"',
         )
     (camera,) = cameras_of(design, surface)
     bar = _has_bar(design, surface)

@@ -63,15 +63,17 @@ def make_end(design: Design, surface: Surface, number: int) -> End:
     wall = design.wall
     if wall.rim_length_mm <= 0.0:
         raise DesignError(
+            "hardware-needs-rim",
             "no hardware holds a sensor without rims (wall.rim_length_mm = 0); give it rims, or "
-            'set hardware.parts = "none"'
+            'set hardware.parts = "none"',
         )
     root = _points(surface, number, -wall.thickness_mm, 0.0)
     place = float(surface.point(_stations(surface, number))[:, 2].mean())
     if float(np.ptp(root[:, 2])) > FLAT_mm * (1.0 + abs(place)):
         raise DesignError(
+            "rim-end-not-flat",
             f"no mount fits the {surface.name}: the edge of its {'far' if number else 'near'} end "
-            'is not flat; set hardware.parts = "none"'
+            'is not flat; set hardware.parts = "none"',
         )
     sign = -1.0 if number else 1.0
     shift = np.array([0.0, 0.0, sign * place])

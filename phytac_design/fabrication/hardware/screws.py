@@ -68,8 +68,10 @@ class Screw:
             if length >= least - 1e-9:
                 return length
         raise DesignError(
+            "screw-too-short",
             f"no {self.name} screw is long enough for {what}: it needs {least:.1f} mm, the longest "
-            f"has {self.lengths_mm[-1]:g} mm; choose a thicker screw or lower hardware.back_room_mm"
+            f"has {self.lengths_mm[-1]:g} mm; choose a thicker screw or lower "
+            "hardware.back_room_mm",
         )
 
 
@@ -205,9 +207,10 @@ def through(
     engaged = screw.engaged_mm(thread)
     if depth_mm - END_mm < engaged - 1e-9:
         raise DesignError(
+            "screw-thread-too-short",
             f"the {screw.name} screws of {what} do not fit: their thread needs {engaged:.1f} mm, "
             f"the part has {depth_mm - END_mm:.1f} mm; choose a smaller screw or raise "
-            "hardware.wall_mm"
+            "hardware.wall_mm",
         )
     length = screw.length_mm(grip_mm + engaged, what)
     return length, max(0.0, length - (grip_mm + depth_mm - END_mm))

@@ -70,9 +70,10 @@ def base_and_frame(
     hardware, wall, clearance = design.hardware, design.wall, design.print_rules.clearance_mm
     if min(wall.rim_length_mm, wall.rim_flange_mm) <= 0.0:
         raise DesignError(
+            "hardware-needs-rim",
             "no frame holds a sheet without rim and flange (wall.rim_length_mm = "
             f"{wall.rim_length_mm:g}, wall.rim_flange_mm = {wall.rim_flange_mm:g}); give it both, "
-            'or set hardware.parts = "none"'
+            'or set hardware.parts = "none"',
         )
     coarse_mm = 0.02  # outlines of base and frame follow the rim within this
     (loop,) = chart_loops(surface, *chart_stations(surface, wall, coarse_mm))
@@ -88,8 +89,9 @@ def base_and_frame(
     shelf = shelf_mm + aside
     if length < shelf + clearance + shelf_mm:
         raise DesignError(
+            "rim-too-short",
             f"a rim of {length:g} mm gives base and frame no hold: here they need "
-            f"{shelf + clearance + shelf_mm:.1f} mm; raise wall.rim_length_mm"
+            f"{shelf + clearance + shelf_mm:.1f} mm; raise wall.rim_length_mm",
         )
     unit = camera_unit(design, camera_mm, low, label="", mount="base", ring=ring)
     screw = SCREWS[hardware.screw_clamp]
@@ -175,9 +177,10 @@ def _lean(rim: _Rim) -> float:
     lean = float((np.linalg.norm(normals[:, :2], axis=1) / np.abs(normals[:, 2])).max())
     if lean > lean_max:
         raise DesignError(
+            "rim-lean-too-large",
             f"no frame is made for a sheet that leans by {np.degrees(np.arctan(lean)):.0f}° at its "
             f"rim (at most {np.degrees(np.arctan(lean_max)):.0f}°); lower the tilt, or set "
-            'hardware.parts = "none"'
+            'hardware.parts = "none"',
         )
     return lean
 

@@ -159,24 +159,27 @@ def _clamp(design: Design, surface: Surface, end: End, name: str) -> Joint:
     edge = -end.stop_mm / 2.0 - screw.tap_mm / 2.0
     if edge < least:
         raise DesignError(
+            "set-screw-edge-distance",
             f"{screw.name} set screws do not fit the rim: their hole of {screw.tap_mm:g} mm in a "
             f"socket over {-end.stop_mm:.1f} mm of rim (flange {wall.rim_flange_mm:g} mm) leaves "
             f"{edge:.2f} mm beside it, the printer needs {least:g} mm; choose a smaller "
-            "hardware.screw_clamp or raise wall.rim_length_mm"
+            "hardware.screw_clamp or raise wall.rim_length_mm",
         )
     bearing = wall.thickness_mm + wall.rim_flange_mm
     if bearing < 0.5 * screw.nominal_mm:
         raise DesignError(
+            "set-screw-too-strong",
             f"{screw.name} set screws are too strong for the rim: wall and flange are "
             f"{bearing:g} mm thick, less than half the screw's diameter; raise "
-            "wall.rim_flange_mm or choose a smaller hardware.screw_clamp"
+            "wall.rim_flange_mm or choose a smaller hardware.screw_clamp",
         )
     room = hardware.wall_mm + design.print_rules.clearance_mm
     if hardware.wall_mm < screw.nominal_mm:
         raise DesignError(
+            "set-screw-thread-short",
             f"{screw.name} set screws find too little thread in a wall of {hardware.wall_mm:g} mm: "
             f"they need {screw.nominal_mm:g} mm; raise hardware.wall_mm or choose a smaller "
-            "hardware.screw_clamp"
+            "hardware.screw_clamp",
         )
     fitting = [length for length in screw.set_lengths_mm if length <= room]
     length = fitting[-1] if fitting else screw.set_lengths_mm[0]
@@ -215,8 +218,9 @@ def check_bed(
     bed = sorted(design.print_rules.bed_mm)
     if any(a > b for a, b in zip(sorted((width, height, tall)), bed, strict=True)):
         raise DesignError(
+            "hardware-exceeds-bed",
             f"the {name} is too large: {width:.0f} x {height:.0f} x {tall:.0f} mm, the printer "
             f"takes {' x '.join(f'{side:g}' for side in design.print_rules.bed_mm)} mm "
             "(print_rules.bed_mm); choose a smaller camera board (hardware.board_size_mm) or a "
-            "larger printer"
+            "larger printer",
         )

@@ -307,18 +307,21 @@ def check_mold(
     for name, release in audit.releases.items():
         if release.undercut_mm2 > undercut_mm2:
             raise NumericalError(
+                "mold-does-not-release",
                 f"mold: {name} does not release: {release.undercut_mm2:.2g} mm² of it lie behind "
-                "other faces along the pull; please report this design"
+                "other faces along the pull; please report this design",
             )
         if release.draft_deg < required - 1e-3:
             raise NumericalError(
+                "mold-draft-too-small",
                 f"mold: {name} has a face of {release.draft_deg:.3f} degrees against the pull, "
-                f"below the required {required:g}; lower [mold] draft_deg"
+                f"below the required {required:g}; lower [mold] draft_deg",
             )
     if audit.shared_mm3 > shared_mm3 or audit.volume_error > volume_tol:
         raise NumericalError(
+            "mold-volume-mismatch",
             f"mold: its parts share {audit.shared_mm3:.3g} mm³ and its cavities are "
-            f"{audit.volume_error:.2%} off their switches; please report this design"
+            f"{audit.volume_error:.2%} off their switches; please report this design",
         )
 
 

@@ -177,9 +177,10 @@ class MoldSizes:
         end = float(start - fall)
         if 2.0 * end < vent_min_mm:
             raise DesignError(
+                "mold-vent-too-thin",
                 f"the vent of a stem of {cavity.reach_mm:.3g} mm would end {2.0 * end:.2g} mm "
                 f"wide, too thin for air to leave ({vent_min_mm:g} mm); lower [mold] draft_deg or "
-                'vent_step_mm, raise [switch] tip_diameter_mm, or take way = "rigid"'
+                'vent_step_mm, raise [switch] tip_diameter_mm, or take way = "rigid"',
             )
         return np.array([[start, -cavity.reach_mm], [end, -level_mm]])
 
@@ -212,8 +213,9 @@ def make_sizes(
     over = sizes.key_wall_mm - EDGE_mm
     if over < 0.0:
         raise DesignError(
+            "mold-keys-too-wide",
             f"keys of {section.key_mm:g} mm do not fit their pads of {2.0 * sizes.pad_mm:.3g} mm; "
-            f"set [mold] key_mm to at most {section.key_mm + 2.0 * over:.2g} or raise land_mm"
+            f"set [mold] key_mm to at most {section.key_mm + 2.0 * over:.2g} or raise land_mm",
         )
     return sizes
 

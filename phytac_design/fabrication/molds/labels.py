@@ -62,7 +62,10 @@ def strokes(text: str) -> FloatArray:
     """
     unknown = sorted(set(text) - set(GLYPHS))
     if unknown or not text:
-        raise DesignError(f"no letters for the label {text!r}; use capitals, digits and '/'")
+        raise DesignError(
+            "label-character-unknown",
+            f"no letters for the label {text!r}; use capitals, digits and '/'",
+        )
     found = []
     for place, letter in enumerate(text):
         for line in GLYPHS[letter]:
@@ -92,8 +95,9 @@ def label(
     tall = min(free / ((len(text) - 1) * ADVANCE + 0.5), 0.5 * free)
     if 0.25 * tall < 0.6 * stroke_mm:
         raise DesignError(
+            "label-does-not-fit",
             f"the mold has no room for its label {text!r}: letters of {tall:.2g} mm with strokes "
-            f"of {stroke_mm:g} mm; raise [mold] channel_mm or lower [print_rules] engrave_min_mm"
+            f"of {stroke_mm:g} mm; raise [mold] channel_mm or lower [print_rules] engrave_min_mm",
         )
     slope = np.tan(np.radians(slope_deg))
     bars = []

@@ -86,10 +86,11 @@ def make_molds(
     if min(columns, lines) < LEAST:
         least = sizes.print_scale * (LEAST * sizes.pitch_mm + 2.0 * edge)
         raise DesignError(
+            "mold-exceeds-bed",
             f"the smallest mold ({section.way}) of these switches is {least:.0f} x {least:.0f} "
             f"mm, the printer's bed {rules.bed_mm[0]:g} x {rules.bed_mm[1]:g} mm, and a mold is "
             "not split further; lower [mold] wall_mm, moat_mm or channel_mm, or take a larger "
-            "[print_rules] bed_mm"
+            "[print_rules] bed_mm",
         )
     counts = [(kind, len(switches.markers_of(kind))) for kind in switches.kinds]
     plans = plan_sets(counts, columns, lines)
@@ -104,8 +105,9 @@ def make_molds(
     tallest = max(float(np.ptp(mesh.vertices_mm[:, 2])) for mesh in made[0].parts.values())
     if tallest > high:
         raise DesignError(
+            "mold-exceeds-height",
             f"the mold's tallest part is {tallest * sizes.print_scale:.3g} mm, the printer's "
-            f"height {rules.bed_mm[2]:g} mm; shorten the receptors or raise [print_rules] bed_mm"
+            f"height {rules.bed_mm[2]:g} mm; shorten the receptors or raise [print_rules] bed_mm",
         )
     return made
 

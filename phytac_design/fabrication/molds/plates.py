@@ -95,8 +95,9 @@ def check_troughs(sizes: MoldSizes) -> None:
     wall = sizes.trough_wall_mm
     if wall < EDGE_mm:
         raise DesignError(
+            "mold-trough-wall-thin",
             f"troughs behind the stems leave walls of {wall:.2g} mm; raise [mold] channel_mm by "
-            f"{EDGE_mm - wall:.2g} mm or lower draft_deg"
+            f"{EDGE_mm - wall:.2g} mm or lower draft_deg",
         )
 
 

@@ -81,9 +81,10 @@ def plan_cuts(
         sides = " x ".join(f"{side:.0f}" for side in size[[1, 2, 0]])
         across = " and ".join(str(np.round(frame[k], 2).tolist()) for k in free)
         raise DesignError(
+            "shell-exceeds-bed",
             f"the shell ({sides} mm) does not fit the bed ({bed[0]:g} x {bed[1]:g} x {bed[2]:g} "
             f"mm) and cannot be parted across {across} without cutting through receptors; raise "
-            "print_rules.bed_mm, leave room between the layout's rows, or make the sensor smaller"
+            "print_rules.bed_mm, leave room between the layout's rows, or make the sensor smaller",
         )
     return min(plans)[2]
 

@@ -182,7 +182,9 @@ def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Ori
     finalists = 40  # cheapest directions that are searched for one without cups
     ups = directions()
     if len(mesh.vertices_mm) < 4:
-        raise NumericalError("a body without volume cannot be printed; check the mesh")
+        raise NumericalError(
+            "body-without-volume", "a body without volume cannot be printed; check the mesh"
+        )
     hull = mesh.vertices_mm[ConvexHull(mesh.vertices_mm).vertices]
     figures = np.zeros((len(ups), 3))
     fits = np.zeros(len(ups), dtype=np.bool_)

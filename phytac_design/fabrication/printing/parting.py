@@ -108,9 +108,10 @@ def part_shell(sensor: Sensor, solid: Any, *, tolerance_mm: float = TOLERANCE_mm
             break
     else:
         raise DesignError(
+            "parting-keys-no-room",
             "the shell's parts cannot be keyed: between receptors there is no room for bosses of "
             f"{sizes[-1].boss:.1f} mm around pegs; lower print_rules.clearance_mm or "
-            "print_rules.wall_free_min_mm, or leave more room in the layout"
+            "print_rules.wall_free_min_mm, or leave more room in the layout",
         )
     layer = WallSection(thickness_mm=size.boss, rim_length_mm=0.0)
     inside = to_manifold(wall_mesh(surface, layer, tolerance_mm=tolerance_mm))
@@ -164,7 +165,8 @@ def _refuse_torn(pieces: list[Any]) -> None:
         bodies = len(piece.decompose())
         if bodies != 1:
             raise NumericalError(
-                f"part {number} of the shell falls into {bodies} bodies; please report this design"
+                "shell-part-disconnected",
+                f"part {number} of the shell falls into {bodies} bodies; please report this design",
             )
 
 

@@ -96,7 +96,9 @@ def write_calibrated(design: Design, fit: Calibration, path: Path) -> Path:
         with path.open("x", encoding="utf-8") as file:
             file.write(to_toml(made))
     except FileExistsError:
-        raise OutputError(f"{path} exists already; choose another name or remove it") from None
+        raise OutputError(
+            "output-exists", f"{path} exists already; choose another name or remove it"
+        ) from None
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}") from None
+        raise OutputError("output-not-writable", f"cannot write {path}: {error.strerror}") from None
     return path

@@ -138,7 +138,9 @@ def calibrate(
     """
     free = [k for k in (0, 1) if NAMES[k] not in fixed]
     if not free:
-        raise InputError("nothing is left to fit; release modulus or thickness")
+        raise InputError(
+            "calibration-nothing-free", "nothing is left to fit; release modulus or thickness"
+        )
     press = np.unique(press, return_inverse=True)[1].reshape(-1).astype(np.int64)
     presses = int(press.max(initial=-1)) + 1
     _refuse_few(len(press), presses, len(free))
@@ -156,7 +158,9 @@ def calibrate(
     widths = fit.half_widths(quantile)
     summary = _combination(fit, quantile)
     if not (fit.settled and _good(widths, fit.free, limit)):
-        raise NumericalError(_undetermined(fit, widths, summary, limit, presses))
+        raise NumericalError(
+            "calibration-undetermined", _undetermined(fit, widths, summary, limit, presses)
+        )
     return _result(fit, widths, summary, len(press), presses)
 
 
@@ -235,8 +239,9 @@ def _refuse_misfit(residual: FloatArray, measured: FloatArray) -> None:
     unexplained = float(np.sqrt(np.mean(residual**2) / np.mean(measured**2)))
     if unexplained > SETTINGS.max_unexplained:
         raise NumericalError(
+            "calibration-poor-fit",
             f"calibration: the best fit leaves {unexplained:.0%} of the displacements "
-            "unexplained; check contact and probe positions, clamping and units"
+            "unexplained; check contact and probe positions, clamping and units",
         )
 
 
@@ -279,10 +284,11 @@ def _combination(fit: _Fit, quantile: float) -> tuple[float, float, float]:
 def _refuse_few(rows: int, presses: int, fitted: int) -> None:
     if rows < SETTINGS.rows_per_parameter * fitted or presses < fitted + 2:
         raise InputError(
+            "calibration-too-few-rows",
             f"calibration: {rows} rows of {presses} presses are too few to fit {fitted} "
             f"parameters (at least {SETTINGS.rows_per_parameter * fitted} rows and {fitted + 2} "
             "presses of "
-            "different place, patch or force); measure more, or fix a parameter"
+            "different place, patch or force); measure more, or fix a parameter",
         )
 
 
@@ -291,30 +297,34 @@ def _refuse_absurd(data: _Data, value: FloatArray, start: ShellParameters) -> No
     for name, array in (("force_N", data.force), ("displacement_mm", data.measured)):
         if not np.all(np.isfinite(array)):
             raise InputError(
+                "calibration-not-finite",
                 f"calibration: {name} of row {int(np.argmin(np.isfinite(array)))} "
-                "is not finite (NaN or inf); correct or remove the row"
+                "is not finite (NaN or inf); correct or remove the row",
             )
     expected = data.force * value / start.modulus
     factor = _scale(expected, data.measured)
     if factor <= 0.0:
         raise InputError(
+            "calibration-sign-reversed",
             "calibration: the displacements point the other way than the forces; forces and "
-            "displacements are both positive inward"
+            "displacements are both positive inward",
         )
     if not 1.0 / SETTINGS.max_unit_factor < factor < SETTINGS.max_unit_factor:
         raise InputError(
+            "calibration-unit-mismatch",
             f"calibration: the displacements are {factor:.3g} times those of the design "
             f"(E {start.modulus:g} MPa, t {start.thickness:g} mm); displacements are in mm and "
-            "forces in N: check units, or put a modulus nearer the truth into the design"
+            "forces in N: check units, or put a modulus nearer the truth into the design",
         )
     largest = float(np.abs(data.measured).max())
     if largest > MAX_DISPLACEMENT_OVER_WALL * start.thickness:
         over = int(np.sum(np.abs(data.measured) > MAX_DISPLACEMENT_OVER_WALL * start.thickness))
         raise InputError(
+            "calibration-displacement-large",
             f"calibration: {over} rows move by more than {MAX_DISPLACEMENT_OVER_WALL:g} of the "
             "wall (up to "
             f"{largest:.3g} mm of {start.thickness:g} mm), where linear theory is off by more than "
-            "about 3 %; press more gently, or remove the presses they belong to"
+            "about 3 %; press more gently, or remove the presses they belong to",
         )
 
 

@@ -93,10 +93,12 @@ def _columns(path: Path) -> dict[str, FloatArray]:
         lines = read_text(path, encoding="utf-8-sig", bytes_max=TABLE_BYTES_MAX).splitlines()
     except UnicodeDecodeError:
         raise InputError(
-            f"{path} is not a CSV file: it is not even text; save it as UTF-8"
+            "file-not-csv", f"{path} is not a CSV file: it is not even text; save it as UTF-8"
         ) from None
     except OSError as error:
-        raise InputError(f"no measurements at {path} ({error.strerror})") from None
+        raise InputError(
+            "file-unreadable", f"no measurements at {path} ({error.strerror})"
+        ) from None
     numbered = [
         (number, line)
         for number, line in enumerate(lines, start=1)
@@ -107,12 +109,14 @@ def _columns(path: Path) -> dict[str, FloatArray]:
         rows = [next(csv.reader([line], strict=True)) for _, line in numbered]
     except csv.Error as error:
         raise InputError(
-            f"{path} is not a CSV file: {error}; save its numbers separated by commas"
+            "file-not-csv",
+            f"{path} is not a CSV file: {error}; save its numbers separated by commas",
         ) from None
     if len(rows) < 2:
         raise InputError(
+            "csv-empty",
             f"{path} holds no measurements: {len(rows)} lines; give a line of column names, then "
-            "one for each"
+            "one for each",
         )
     names = [name.strip() for name in rows[0]]
     _check_names(path, names)
@@ -120,8 +124,9 @@ def _columns(path: Path) -> dict[str, FloatArray]:
     for (number, _), row in zip(numbered[1:], rows[1:], strict=True):
         if len(row) != len(names):
             raise InputError(
+                "csv-row-length",
                 f"{path} line {number}: {len(row)} fields for {len(names)} columns; "
-                "fields are separated by commas, decimals by a point"
+                "fields are separated by commas, decimals by a point",
             )
         out.append(
             [float(number), *(_number(path, number, *p) for p in zip(names, row, strict=True))]
@@ -135,12 +140,19 @@ def _check_names(path: Path, names: list[str]) -> None:
         if name not in known:
             near = get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-            raise InputError(f"{path}: unknown column {name[:MAX_TEXT]!r}; {hint}")
+            raise InputError(
+                "csv-column-unknown", f"{path}: unknown column {name[:MAX_TEXT]!r}; {hint}"
+            )
         if names.count(name) > 1:
-            raise InputError(f"{path}: column {name!r} stands there twice; keep one")
+            raise InputError(
+                "csv-column-duplicate", f"{path}: column {name!r} stands there twice; keep one"
+            )
     missing = [name for name in VALUES if name not in names]
     if missing:
-        raise InputError(f"{path}: column {missing[0]!r} is missing (needed: {', '.join(VALUES)})")
+        raise InputError(
+            "csv-column-missing",
+            f"{path}: column {missing[0]!r} is missing (needed: {', '.join(VALUES)})",
+        )
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
@@ -150,8 +162,9 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
         value = np.nan
     if not np.isfinite(value):
         raise InputError(
+            "csv-value-invalid",
             f"{path} line {line}: {name} is not a finite number (got {text.strip()[:MAX_TEXT]!r}); "
-            "correct the value or remove the line"
+            "correct the value or remove the line",
         )
     return value
 
@@ -168,7 +181,10 @@ def _place(
     given = {kind for kind, cols in PLACES.items() if any(f"{what}_{c}" in table for c in cols)}
     if len(given) != 1 or not all(f"{what}_{c}" in table for c in PLACES[next(iter(given))]):
         sets = " or ".join(",".join(f"{what}_{c}" for c in cols) for cols in PLACES.values())
-        raise InputError(f"{path}: the {what}'s position must be given by exactly one of {sets}")
+        raise InputError(
+            "csv-position-ambiguous",
+            f"{path}: the {what}'s position must be given by exactly one of {sets}",
+        )
     kind = given.pop()
     values = np.column_stack([table[f"{what}_{c}"] for c in PLACES[kind]])
     if kind == "marker":
@@ -197,6 +213,7 @@ def _refuse(
     if np.any(bad):
         lines = ", ".join(f"{line:.0f}" for line in table["line"][bad][:MAX_ROWS_NAMED])
         raise InputError(
+            "csv-value-range",
             f"{path} line {lines}: {name} {why} (got {table[name][bad][0]:g}, "
-            f"{int(bad.sum())} in all); correct the value or remove the line"
+            f"{int(bad.sum())} in all); correct the value or remove the line",
         )

@@ -153,8 +153,9 @@ class Corotational:
             frame, loose = self._newton_fit(start, moved)
         if np.any(loose):
             raise NumericalError(
+                "element-distorted",
                 f"{int(loose.sum())} elements are distorted so that no rigid rotation fits their "
-                "corners; take smaller load steps or refine the mesh"
+                "corners; take smaller load steps or refine the mesh",
             )
         return frame
 

@@ -70,7 +70,10 @@ class ElementForces:
             out,
         )
         if loose != FITTED:
-            raise NumericalError(f"element {loose} is distorted so that no rigid rotation fits it")
+            raise NumericalError(
+                "element-distorted",
+                f"element {loose} is distorted so that no rigid rotation fits it",
+            )
         return out.ravel()
 
 

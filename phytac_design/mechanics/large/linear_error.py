@@ -57,8 +57,9 @@ def check_load_size(turned_rad: float) -> None:
     """
     if not turned_rad <= ABSURD_ROTATION_rad:
         raise NumericalError(
+            "load-too-large",
             f"the load is absurd: linear theory turns the shell by {turned_rad:.2g} rad; check "
-            "its unit"
+            "its unit",
         )
 
 

@@ -151,7 +151,9 @@ def visit(
 ) -> list[Equilibrium]:
     """Advance from stop to stop; ``jumped`` stays set once an increment deviates."""
     if not np.all(np.isfinite(stops)):
-        raise NumericalError(f"a {label} to stop at is not finite (got {stops.tolist()})")
+        raise NumericalError(
+            "path-stop-not-finite", f"a {label} to stop at is not finite (got {stops.tolist()})"
+        )
     here, out = at_rest(system), []
     for stop in stops.tolist():
         try:
@@ -159,9 +161,10 @@ def visit(
         except _PathEndError as end:
             here = end.last
             raise NumericalError(
+                "no-equilibrium",
                 f"no equilibrium at {label} {stop:.6g}: the path ends at {where(here):.6g}, load "
                 f"factor {here.load_factor:.6g} ({end}); likely a limit point: follow the path by "
-                "displacement or arc-length"
+                "displacement or arc-length",
             ) from end
         out.append(here)
     return out
@@ -170,8 +173,9 @@ def visit(
 class _PathEndError(NumericalError):
     """No increment leads on from the state ``last``."""
 
-    def __init__(self, message: str, last: Equilibrium) -> None:
-        super().__init__(message)
+    def __init__(self, code: str, message: str, last: Equilibrium) -> None:
+        super().__init__(code, message)
+        self.args = (code, message, last)
         self.last = last
 
 
@@ -205,7 +209,7 @@ def _advance_to(
         except NotConvergedError as error:
             spent += 1
             if spent > SETTINGS.max_cutbacks:
-                raise _PathEndError(str(error), here) from error
+                raise _PathEndError(error.code, str(error), here) from error
         if found is None and off is not None and share <= SETTINGS.min_increment_share:
             found = replace(off[0], jumped=True), off[1]
         if found is None:
@@ -216,7 +220,9 @@ def _advance_to(
         if found[1]:
             return here
         off = _still_ahead(off, where(here), left, where)
-    raise _PathEndError(f"{SETTINGS.max_increments} increments did not suffice", here)
+    raise _PathEndError(
+        "path-increments-exhausted", f"{SETTINGS.max_increments} increments did not suffice", here
+    )
 
 
 def _still_ahead(

@@ -161,7 +161,7 @@ class System:
         size = model.fixed.size
         self.force = dense_vector(loading.force, size, "force")
         if not np.any(self.force):
-            raise NumericalError(f"the load is zero at all {size} DOFs; give a force")
+            raise NumericalError("load-zero", f"the load is zero at all {size} DOFs; give a force")
         self.free = np.flatnonzero(~model.fixed.ravel())
         diagonal = model.stiffness.diagonal()
         self.scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
@@ -187,12 +187,16 @@ class System:
         try:
             factor = self._factor = splu(self._skeleton, **SUPERLU)
         except RuntimeError as error:
-            raise NotConvergedError(f"the tangent is singular ({error})") from error
+            raise NotConvergedError(
+                "tangent-singular", f"the tangent is singular ({error})"
+            ) from error
         right = np.stack([-residual[self.free], self.force[self.free]], axis=1)
         scale = self.scale[self.free, None]
         both = scale * factor.solve(scale * right)
         if not np.all(np.isfinite(both)):
-            raise NotConvergedError("the tangent is singular to working precision")
+            raise NotConvergedError(
+                "tangent-singular", "the tangent is singular to working precision"
+            )
         a, b = np.zeros_like(residual), np.zeros_like(residual)
         a[self.free], b[self.free] = both.T
         return a, b
@@ -224,8 +228,9 @@ def dense_vector(value: Any, size: int, label: str) -> FloatArray:
     dense = np.asarray(value.toarray() if hasattr(value, "toarray") else value, dtype=np.float64)
     if dense.size != size or not np.all(np.isfinite(dense)):
         raise NumericalError(
+            "load-vector-invalid",
             f"the {label} needs one finite value per DOF, {size} in all (got {dense.size}, "
-            f"{int(np.sum(~np.isfinite(dense)))} of them not finite)"
+            f"{int(np.sum(~np.isfinite(dense)))} of them not finite)",
         )
     return dense.ravel().copy()
 
@@ -297,7 +302,9 @@ def _iterate(
         if iteration == 1:
             first = max(system.size(residual), 1e-300)
         if not system.size(residual) <= SETTINGS.divergence_factor * first:
-            raise NotConvergedError(f"the iteration diverges (residual {residual_size:.2g})")
+            raise NotConvergedError(
+                "newton-diverged", f"the iteration diverges (residual {residual_size:.2g})"
+            )
         if iteration == limit:
             break
         if iteration == 0 and start.iterations == 0:
@@ -321,16 +328,19 @@ def _iterate(
         state, moved, factor = state.moved(step), moved + step, factor + change
         last_step = system.length(step) / max(system.length(state.motion), 1e-300)
     raise NotConvergedError(
+        "newton-iterations-exhausted",
         f"no convergence in {limit} iterations (residual {residual_size:.2g}, last step "
-        f"{last_step:.2g})"
+        f"{last_step:.2g})",
     )
 
 
 def _local_elements(system: System, state: Configuration) -> LocalElements:
     try:
         return system.shell.local(state)
-    except (NumericalError, np.linalg.LinAlgError) as error:
-        raise NotConvergedError(str(error)) from error
+    except NumericalError as error:
+        raise NotConvergedError(error.code, str(error)) from error
+    except np.linalg.LinAlgError as error:
+        raise NotConvergedError("element-rotation-not-found", str(error)) from error
 
 
 def _line_search(

@@ -365,7 +365,7 @@ class QuasiNewtonSolver:
                 found.append(first / (1.0 - grown))
         found = [one for one in found if largest_rotation(one) <= SETTINGS.max_rotation_rad]
         if not found:
-            raise NotConvergedError("the motion is too far from linear")
+            raise NotConvergedError("quasi-newton-nonlinear", "the motion is too far from linear")
         if len(found) == 1:
             return found[0]
         gaps = [self._shell.force_norm(force - self._shell.internal(one)) for one in found]
@@ -387,7 +387,9 @@ class QuasiNewtonSolver:
         best, best_at = np.inf, 0
         for number in range(1, SETTINGS.max_iterations + 1):
             if largest_rotation(x) > SETTINGS.max_rotation_rad:
-                raise NotConvergedError("the rotations are too large")
+                raise NotConvergedError(
+                    "quasi-newton-rotations-large", "the rotations are too large"
+                )
             internal = shell.internal(x)
             residual = force - internal
             if stability is None:
@@ -430,7 +432,9 @@ class QuasiNewtonSolver:
                     ),
                     iterations=step.number,
                 )
-        raise NotConvergedError(f"the quasi-Newton iteration stalls at a residual of {best:.2g}")
+        raise NotConvergedError(
+            "quasi-newton-stalled", f"the quasi-Newton iteration stalls at a residual of {best:.2g}"
+        )
 
     def _measure(self, stability: LowestEigenvalue, x: FloatArray, internal: FloatArray) -> None:
         stability.measure(lambda vector, _: self._shell.tangent_product(x, internal, vector))
@@ -452,11 +456,14 @@ class QuasiNewtonSolver:
         along.extend(x, shell.reference_force(x))
         self._measure(along, x, internal)
         if not along.lowest >= SETTINGS.soft_eigenvalue:
-            raise NotConvergedError(f"the shell is soft here (Ritz value {along.lowest:.2g})")
+            raise NotConvergedError(
+                "quasi-newton-soft-mode", f"the shell is soft here (Ritz value {along.lowest:.2g})"
+            )
         ends = [_translations(one) for one in (x, first, along.rate(force))]
         if path_deviation(ends[0], ends[1], ends[2]) > PATH_DEVIATION_MAX:
             raise NotConvergedError(
-                "the result deviates from the tangents at rest and at the result"
+                "quasi-newton-inconsistent",
+                "the result deviates from the tangents at rest and at the result",
             )
         self._measure(stability, x, internal)
         for _ in range(SETTINGS.max_final_products):
@@ -475,7 +482,8 @@ class QuasiNewtonSolver:
             stability.refine(shell.solve_reference(residual[:, None])[:, 0], residual)
             self._measure(stability, x, internal)
         raise NotConvergedError(
-            f"the shell is soft here (lowest Ritz value {stability.lowest:.2g})"
+            "quasi-newton-soft-mode",
+            f"the shell is soft here (lowest Ritz value {stability.lowest:.2g})",
         )
 
 

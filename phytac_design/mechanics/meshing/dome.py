@@ -70,8 +70,9 @@ def dome_grid(surface: Surface, *, offset_mm: float, size_mm: float) -> QuadGrid
     """
     if surface.poles[0] == surface.poles[1]:
         raise DesignError(
+            "mesh-pole-missing",
             f"mesh: surface '{surface.name}' must have a pole at one end (got {surface.poles}); "
-            "open it at one end with a rim"
+            "open it at one end with a rim",
         )
     (u0, u1), (v0, v1) = surface.domain
     ends = (u1, u0) if surface.poles[1] else (u0, u1)

@@ -42,8 +42,9 @@ def lattice_grid(surface: Surface, lattice: Lattice, refine: int) -> tuple[QuadG
     """
     if refine < 1 or refine * lattice.columns < 3:
         raise DesignError(
+            "mesh-too-coarse",
             f"mesh: refine = {refine} with {lattice.columns} columns gives fewer than 3 "
-            f"elements around; raise refine to {-(-3 // lattice.columns)} or more"
+            f"elements around; raise refine to {-(-3 // lattice.columns)} or more",
         )
     around = lattice.columns * refine
     u, shift, line, start = _lines(surface, lattice, refine)

@@ -72,9 +72,14 @@ def locate(
     uv = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
     surface = mesh.surface if surface is None else surface
     if surface is None:
-        raise NumericalError("this mesh does not know its surface; hand the surface to locate too")
+        raise NumericalError(
+            "mesh-without-surface",
+            "this mesh does not know its surface; hand the surface to locate too",
+        )
     if not np.all(np.isfinite(uv)):
-        raise NumericalError("a chart position is not finite (NaN or inf); check the contacts")
+        raise NumericalError(
+            "position-not-finite", "a chart position is not finite (NaN or inf); check the contacts"
+        )
     lost = outside(surface, uv)
     element, rs = np.zeros(len(uv), dtype=np.int64), np.full((len(uv), 2), np.inf)
     todo = np.flatnonzero(~lost)
@@ -86,9 +91,10 @@ def locate(
         where = uv[np.argmax(lost)]
         (u0, u1), (v0, v1) = surface.domain
         raise NumericalError(
+            "position-outside-mesh",
             f"position (u, v) = ({where[0]:.6g}, {where[1]:.6g}) lies on no element "
             f"({int(lost.sum())} in all); the surface spans u from {u0:.6g} to {u1:.6g}, v from "
-            f"{v0:.6g} to {v1:.6g}{' and around' if surface.periodic[1] else ''}"
+            f"{v0:.6g} to {v1:.6g}{' and around' if surface.periodic[1] else ''}",
         )
     r, s = np.clip(rs, -1.0, 1.0).T
     weights = 0.25 * (1.0 + np.multiply.outer(r, R)) * (1.0 + np.multiply.outer(s, S))

@@ -131,8 +131,9 @@ def marker_mesh(
             return _matching(_shell(surface, grid, thickness_mm, nodes), markers)
     if refine < 1 or markers.count < 1:
         raise DesignError(
+            "mesh-refine-invalid",
             f"mesh: refine and the number of markers must be at least 1 (got {refine} and "
-            f"{markers.count}); raise them"
+            f"{markers.count}); raise them",
         )
     mesh = node_mesh(
         surface,
@@ -180,11 +181,12 @@ def node_mesh(
         size *= REFINEMENT
     i, j, gap = _closest(surface.point(uv))
     raise DesignError(
+        "mesh-quality-too-low",
         f"mesh: no sound mesh has a node on every marker (best scaled Jacobian {best:.2f}, sides "
         f"kept to {kept:.2g}; needs {MIN_SCALED_JACOBIAN} and {MIN_SIDE_SHARE}; elements down to "
         f"{size / REFINEMENT:.3g} mm); markers {i} and {j} are the closest ({gap:.3g} mm apart): "
         "move "
-        "markers apart and off the rims, or raise refine"
+        "markers apart and off the rims, or raise refine",
     )
 
 
@@ -203,14 +205,16 @@ def chart_mesh(surface: Surface, *, thickness_mm: float, n_along: int, n_around:
     _check(surface, thickness_mm)
     if any(surface.poles):
         raise DesignError(
+            "mesh-pole-unsupported",
             f"mesh: surface '{surface.name}' has a pole, where a structured mesh collapses; "
-            "use plain_mesh"
+            "use plain_mesh",
         )
     closed = surface.periodic[1]
     if n_along < 1 or n_around < (3 if closed else 1):
         raise DesignError(
+            "mesh-too-coarse",
             f"mesh: needs at least 1 element along and {'3 around' if closed else '1 across'} "
-            f"(got {n_along} × {n_around})"
+            f"(got {n_along} × {n_around})",
         )
     (u0, u1), (v0, v1) = surface.domain
     u = np.linspace(u0, u1, n_along + 1)
@@ -238,20 +242,24 @@ def plain_mesh(surface: Surface, *, thickness_mm: float, size_mm: float) -> Shel
     """
     _check(surface, thickness_mm)
     if not 0.0 < size_mm < np.inf:
-        raise DesignError(f"mesh: the element size must be positive (got {size_mm} mm)")
+        raise DesignError(
+            "mesh-size-not-positive", f"mesh: the element size must be positive (got {size_mm} mm)"
+        )
     return _shell(surface, _grid(surface, thickness_mm, size_mm), thickness_mm)
 
 
 def _check(surface: Surface, thickness_mm: float) -> None:
     if surface.periodic[0]:
         raise DesignError(
+            "mesh-closed-along-u",
             f"mesh: surface '{surface.name}' closes along u; meshes need it open along u, closed "
-            "around v or open both ways: swap u and v"
+            "around v or open both ways: swap u and v",
         )
     if not 0.0 < thickness_mm < 2.0 * surface.inner_reach_mm():
         raise DesignError(
+            "wall-exceeds-curvature",
             f"mesh: a wall of {thickness_mm} mm has no middle face on a surface that reaches "
-            f"{surface.inner_reach_mm():.4g} mm inward; make the wall thinner"
+            f"{surface.inner_reach_mm():.4g} mm inward; make the wall thinner",
         )
 
 
@@ -311,8 +319,9 @@ def _matching(mesh: ShellMesh, markers: Markers) -> ShellMesh:
     gap = float(np.abs(mesh.nodes_mm[mesh.marker_nodes] - markers.mid_mm).max(initial=0.0))
     if gap > MATCH_TOL * float(_sides(mesh.nodes_mm, mesh.quads).min()):
         raise DesignError(
+            "mesh-marker-off-node",
             f"mesh: a marker is {gap:.3g} mm off its node; the markers do not belong to this "
-            f"surface and thickness ({mesh.thickness_mm} mm); make them from the same design"
+            f"surface and thickness ({mesh.thickness_mm} mm); make them from the same design",
         )
     return mesh
 

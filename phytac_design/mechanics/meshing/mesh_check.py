@@ -27,17 +27,20 @@ def check_quads(quads: IntArray, node_count: int) -> None:
     """
     if quads.ndim != 2 or quads.shape[1:] != (4,) or not len(quads):
         raise NumericalError(
+            "mesh-shape-invalid",
             f"mesh: quads must be (E, 4) with at least one element (got {quads.shape}); "
-            "give four corner nodes for each element"
+            "give four corner nodes for each element",
         )
     if quads.min() < 0 or quads.max() >= node_count:
         raise NumericalError(
+            "mesh-node-unknown",
             f"mesh: an element refers to node {quads.max() if quads.min() >= 0 else quads.min()}, "
-            f"but nodes run from 0 to {node_count - 1}; correct the numbering"
+            f"but nodes run from 0 to {node_count - 1}; correct the numbering",
         )
     corners = np.sort(quads, axis=1)
     _refuse(
         np.any(corners[:, 1:] == corners[:, :-1], axis=1),
+        "element-degenerate",
         "element {where} has a node at two corners ({count} in all); split it into quads or merge "
         "it with a neighbour",
     )
@@ -45,6 +48,7 @@ def check_quads(quads: IntArray, node_count: int) -> None:
     repeated[np.unique(corners, axis=0, return_index=True)[1]] = False
     _refuse(
         repeated,
+        "mesh-element-duplicate",
         "element {where} lies on the nodes of another one ({count} such in all); remove the "
         "duplicate",
     )
@@ -53,6 +57,7 @@ def check_quads(quads: IntArray, node_count: int) -> None:
     edges, slot, uses = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
     _refuse(
         uses > 2,
+        "mesh-edge-overused",
         "edge {where} belongs to {uses} elements ({count} such edges in all); a shell has one or "
         "two at an edge: remove inner walls or double layers",
         edges,
@@ -62,6 +67,7 @@ def check_quads(quads: IntArray, node_count: int) -> None:
     runs = np.bincount(slot.ravel(), weights=np.where(start < end, 1.0, -1.0))
     _refuse(
         (uses == 2) & (np.abs(runs) > 1.0),
+        "mesh-orientation-mixed",
         "two elements face opposite ways across edge {where} ({count} such edges in all); reverse "
         "the corners of one side",
         edges,
@@ -92,18 +98,24 @@ def check_directors(nodes_mm: FloatArray, quads: IntArray, directors: FloatArray
     if not np.all(np.abs(length - 1.0) < 1e-6):
         worst = float(length.ravel()[np.argmax(np.abs(length - 1.0))])
         raise NumericalError(
+            "mesh-director-not-unit",
             f"mesh: directors must be unit normals (got one of length {worst:.6g}); divide them "
-            "by their length"
+            "by their length",
         )
     _refuse(
         np.any(np.einsum("eck,ek->ec", own, normal) <= 0.0, axis=1),
+        "mesh-orientation-reversed",
         "element {where} faces away from its directors ({count} in all); reverse its corners or "
         "the directors",
     )
 
 
 def _refuse(
-    bad: BoolArray, message: str, edges: IntArray | None = None, uses: IntArray | None = None
+    bad: BoolArray,
+    code: str,
+    message: str,
+    edges: IntArray | None = None,
+    uses: IntArray | None = None,
 ) -> None:
     """Raise for the first bad element, or edge (k, 2), if there is one."""
     if np.any(bad):
@@ -112,4 +124,4 @@ def _refuse(
         text = message.format(
             where=where, count=int(np.sum(bad)), uses=0 if uses is None else uses[at]
         )
-        raise NumericalError(f"mesh: {text}")
+        raise NumericalError(code, f"mesh: {text}")

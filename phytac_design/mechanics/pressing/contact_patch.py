@@ -54,9 +54,14 @@ def parse_contact_patch(
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     radius = design.training.patch_radius_max_mm if radius_mm is None else radius_mm
     if not 0.0 < force_N < np.inf:
-        raise DesignError(f"the force must be a positive number of newtons (got {force_N})")
+        raise DesignError(
+            "force-not-positive", f"the force must be a positive number of newtons (got {force_N})"
+        )
     if not 0.0 <= radius < np.inf:
-        raise DesignError(f"the patch radius must be a number of mm, 0 or more (got {radius})")
+        raise DesignError(
+            "patch-radius-invalid",
+            f"the patch radius must be a number of mm, 0 or more (got {radius})",
+        )
     return ContactPatch(
         uv=_position(surface, markers, at.strip()), radius_mm=radius, force_N=force_N
     )
@@ -80,17 +85,21 @@ def _position(surface: Surface, markers: Markers, at: str) -> FloatArray:
     if len(number) == 1 and marker == int(number[0]):
         if not 0 <= marker < markers.count:
             raise DesignError(
-                f"there is no marker {marker}: this design has markers 0 to {markers.count - 1}"
+                "marker-unknown",
+                f"there is no marker {marker}: this design has markers 0 to {markers.count - 1}",
             )
         return np.asarray(markers.uv[marker])
     if len(number) != 2 or not np.all(np.isfinite(number)):
-        raise DesignError(f"a place is a marker's number or a chart position u,v (got {at!r})")
+        raise DesignError(
+            "place-invalid", f"a place is a marker's number or a chart position u,v (got {at!r})"
+        )
     for name, value, (low, high), closed in zip(
         "uv", number, domain.tolist(), surface.periodic, strict=True
     ):
         if not closed and not low <= value <= high:
             raise DesignError(
+                "contact-off-surface",
                 f"the load is off the surface: {name} = {value:g} is not between {low:g} and "
-                f"{high:g}; move it onto the wall"
+                f"{high:g}; move it onto the wall",
             )
     return np.array(number)

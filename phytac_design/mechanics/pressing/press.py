@@ -149,9 +149,11 @@ def press(
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     if theory not in get_args(Theory):
-        raise DesignError(f"theory is one of {', '.join(get_args(Theory))} (got {theory!r})")
+        raise DesignError(
+            "theory-unknown", f"theory is one of {', '.join(get_args(Theory))} (got {theory!r})"
+        )
     if not 0.0 < tolerance < np.inf:
-        raise DesignError(f"the tolerance must be positive (got {tolerance})")
+        raise DesignError("tolerance-invalid", f"the tolerance must be positive (got {tolerance})")
     start = time.perf_counter()
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=refine)
     progress(f"press: {6 * len(mesh.nodes_mm)} unknowns, linear")
@@ -172,7 +174,9 @@ def press(
     mesh_error, resolved = _mesh_error(sensor, place, probed, refine, receptors=receptors)
     strain = bending_strain(mesh, motion)
     if large and strain > STRAIN_LIMIT:
-        raise NumericalError(_beyond(place, f"the wall would strain by {100.0 * strain:.0f} %"))
+        raise NumericalError(
+            "strain-too-large", _beyond(place, f"the wall would strain by {100.0 * strain:.0f} %")
+        )
     seconds = time.perf_counter() - start
     arm = markers.tip_mm - markers.mid_mm
     at = motion[mesh.marker_nodes]
@@ -216,7 +220,9 @@ def _large_motion(model: ShellModel, load: Any, place: ContactPatch) -> Equilibr
     try:
         return solve_large(model, Loading(force=load))[0]
     except NumericalError as error:
-        raise NumericalError(_beyond(place, f"no equilibrium is found ({error})")) from error
+        raise NumericalError(
+            "press-no-equilibrium", _beyond(place, f"no equilibrium is found ({error})")
+        ) from error
 
 
 def _mesh_error(
@@ -274,7 +280,9 @@ def write_press(path: Path, result: Press) -> Path:
     try:
         return write_vtu(path, result.mesh, motion=result.motion)
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}; choose another file") from None
+        raise OutputError(
+            "output-not-writable", f"cannot write {path}: {error.strerror}; choose another file"
+        ) from None
 
 
 def _pixels(

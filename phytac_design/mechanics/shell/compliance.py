@@ -74,8 +74,9 @@ def marker_compliance(
     """
     if len(mesh.marker_nodes) != markers.count:
         raise NumericalError(
+            "mesh-marker-count",
             f"the mesh has {len(mesh.marker_nodes)} marker nodes for {markers.count} markers; "
-            "make it with marker_mesh from the same markers"
+            "make it with marker_mesh from the same markers",
         )
     columns = markers.lattice.columns if markers.lattice else 1
     turn = column_turn(model, mesh, columns) if use_symmetry else None

@@ -132,8 +132,9 @@ def estimate_error(
     """
     if len(refine) != 2:
         raise NumericalError(
+            "mesh-error-one-mesh",
             f"an estimate of the mesh's error needs two meshes (got {len(refine)}); give e.g. "
-            "refine = (4, 2)"
+            "refine = (4, 2)",
         )
     plain, correction, elements = [], [], []
     for level in refine:
@@ -145,13 +146,15 @@ def estimate_error(
     ratio = float(np.sqrt(elements[0] / elements[1]))
     if ratio < MIN_SIZE_RATIO:
         raise NumericalError(
+            "mesh-error-size-ratio",
             f"the second mesh must be coarser by {MIN_SIZE_RATIO} or more in element size (got "
-            f"{elements} elements); order refine from fine to coarse"
+            f"{elements} elements); order refine from fine to coarse",
         )
     if plain[0].shape != plain[1].shape:
         raise NumericalError(
+            "mesh-error-results-differ",
             f"the meshes differ in probes or loads ({[part.shape for part in plain]}); make every "
-            "mesh with the same points and loads"
+            "mesh with the same points and loads",
         )
     values = [u + e for u, e in zip(plain, correction, strict=True)]
     step = values[0] - values[1]

@@ -64,8 +64,9 @@ class Factor:
         diagonal = matrix.diagonal()
         if not np.all(diagonal > 0.0):
             raise NumericalError(
+                "stiffness-zero-diagonal",
                 "the stiffness has a zero on its diagonal: a DOF carries no stiffness; "
-                "check thickness, modulus and Poisson's ratio"
+                "check thickness, modulus and Poisson's ratio",
             )
         self.scale: FloatArray = 1.0 / np.sqrt(diagonal)
         # Scaled in place: a sparse product would drop the explicit zeros, and without them the
@@ -131,4 +132,6 @@ def _superlu(matrix: Any) -> Any:
     try:
         return splu(matrix, **SUPERLU)
     except RuntimeError as error:
-        raise NumericalError(f"the stiffness cannot be factored ({error})") from error
+        raise NumericalError(
+            "stiffness-not-factored", f"the stiffness cannot be factored ({error})"
+        ) from error

@@ -126,7 +126,10 @@ def patch_loads(
     centres = np.asarray(centres_uv, dtype=np.float64).reshape(-1, 2)
     radii = np.broadcast_to(np.asarray(radii_mm, dtype=np.float64), len(centres))
     if not (np.all(np.isfinite(radii)) and np.all(radii >= 0.0)):
-        raise NumericalError("a patch radius is negative or not finite; give radii in mm, >= 0")
+        raise NumericalError(
+            "load-radius-invalid",
+            "a patch radius is negative or not finite; give radii in mm, >= 0",
+        )
     pressure = UniformDiscs(radii_mm=radii)
     return spread_loads(
         mesh, surface, PressurePatches(uv=centres, reach_mm=radii, pressure=pressure)
@@ -249,9 +252,10 @@ def _refuse_pulling(left: FloatArray, centres: FloatArray) -> None:
         where = int(np.argmin(left))
         u, v = centres[where]
         raise NumericalError(
+            "patch-beyond-edge",
             f"patch {where} at (u, v) = ({u:.6g}, {v:.6g}) reaches around an edge so far that its "
             f"friction alone presses with {1.0 - left[where]:.3g} times the normal force; lower "
-            "its friction or make it smaller"
+            "its friction or make it smaller",
         )
 
 

@@ -116,8 +116,9 @@ def write_inp(
     dense = np.asarray(load.toarray() if hasattr(load, "toarray") else load, dtype=np.float64)
     if dense.size != 6 * len(mesh.nodes_mm) or not np.all(np.isfinite(dense)):
         raise NumericalError(
+            "load-vector-invalid",
             f"the load needs one finite value per DOF, {6 * len(mesh.nodes_mm)} in all "
-            f"(got {dense.size})"
+            f"(got {dense.size})",
         )
     return write_lines(path, _inp_lines(mesh, modulus_MPa, poisson, dense.reshape(-1, 6), name))
 

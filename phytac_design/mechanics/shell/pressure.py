@@ -270,38 +270,62 @@ def check_indentations(surface: Surface, contacts: Indentations) -> None:
     short = (contacts.indenter == CYLINDER) & (contacts.length_mm <= 0.0)
     (u0, u1), (v0, v1) = surface.domain
     chart = f"u from {u0:.6g} to {u1:.6g}, v from {v0:.6g} to {v1:.6g}"
-    _refuse(~np.isfinite(table).all(axis=1), table, "a number is not finite", "give finite numbers")
+    _refuse(
+        ~np.isfinite(table).all(axis=1),
+        table,
+        "contact-not-finite",
+        "a number is not finite",
+        "give finite numbers",
+    )
     _refuse(
         ~known,
         contacts.indenter,
+        "indenter-unknown",
         "the indenter is not known",
         "use 0 (flat), 1 (sphere) or 2 (cylinder)",
     )
-    _refuse(contacts.radius_mm < 0.0, contacts.radius_mm, "radius_mm is negative", "use 0 or more")
-    _refuse(contacts.force_N < 0.0, contacts.force_N, "force_N is negative", "contacts only push")
+    _refuse(
+        contacts.radius_mm < 0.0,
+        contacts.radius_mm,
+        "contact-radius-negative",
+        "radius_mm is negative",
+        "use 0 or more",
+    )
+    _refuse(
+        contacts.force_N < 0.0,
+        contacts.force_N,
+        "contact-force-negative",
+        "force_N is negative",
+        "contacts only push",
+    )
     _refuse(
         short,
         contacts.length_mm,
+        "contact-length-not-positive",
         "a cylinder's length_mm is not positive",
         "give the length of its strip in mm",
     )
     _refuse(
         np.hypot(*contacts.friction.T) > MAX_FRICTION,
         contacts.friction,
+        "contact-friction-too-large",
         f"friction is more than {MAX_FRICTION:g} times the normal force",
         "give tangential over normal force, not newtons",
     )
     _refuse(
         outside(surface, contacts.uv),
         contacts.uv,
+        "contact-off-surface",
         f"the centre is off the surface ({chart})",
         "move it onto the surface",
     )
 
 
-def _refuse(bad: Any, value: FloatArray | IntArray, what: str, fix: str) -> None:
+def _refuse(bad: Any, value: FloatArray | IntArray, code: str, what: str, fix: str) -> None:
     if np.any(bad):
         first = int(np.argmax(bad))
         raise DesignError(
-            f"contact {first}: {what} (got {value[first].tolist()}; {int(bad.sum())} in all); {fix}"
+            code,
+            f"contact {first}: {what} (got {value[first].tolist()}; {int(bad.sum())} in all); "
+            f"{fix}",
         )

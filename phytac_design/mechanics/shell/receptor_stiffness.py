@@ -119,9 +119,10 @@ def receptor_effect(
     ):
         if not np.all((value * ROUNDING >= axis[0]) & (value <= axis[-1] * ROUNDING)):
             raise DesignError(
+                "receptor-stiffness-range",
                 f"receptor stiffness: {label} is known from {axis[0]:g} to {axis[-1]:g} (got "
                 f"{np.min(value):.4g} … {np.max(value):.4g}); change receptor diameters or wall "
-                "thickness, or model the shell without receptors"
+                "thickness, or model the shell without receptors",
             )
 
     def axes(d: FloatArray, q: FloatArray, h: FloatArray) -> tuple[FloatArray, ...]:

@@ -234,10 +234,11 @@ def _refuse_degenerate(X: FloatArray) -> None:
     if np.any(bad):
         where = int(np.argmax(bad))
         raise NumericalError(
+            "element-degenerate",
             f"shell element {where} is degenerate ({int(bad.sum())} in all): check the mesh for "
             "coincident nodes, a corner of 180° or more, or a coordinate that is not finite; "
             "corners (mm): "
-            f"{np.round(X[:, :, where], 6).tolist()}"
+            f"{np.round(X[:, :, where], 6).tolist()}",
         )
 
 

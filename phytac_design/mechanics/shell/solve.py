@@ -124,8 +124,9 @@ class ShellModel:
         if not np.all(np.isfinite(dense)):
             row, column = np.argwhere(~np.isfinite(dense))[0]
             raise NumericalError(
+                "load-not-finite",
                 f"a load is not finite: load {column} has {dense[row, column]:g} at node "
-                f"{row // 6}; check the forces handed in"
+                f"{row // 6}; check the forces handed in",
             )
         motion = np.zeros_like(dense)
         error = 0.0
@@ -135,9 +136,10 @@ class ShellModel:
             error = float(np.maximum(error, part))  # keeps NaN
         if not error <= ERROR_TOL:
             raise NumericalError(
+                "stiffness-ill-conditioned",
                 f"rounding errors are too large (relative error about {error:.2g}, limit "
                 f"{ERROR_TOL:g}): the stiffness is close to singular; check that the shell is "
-                "held and that thickness over element size is not far below 1e-4"
+                "held and that thickness over element size is not far below 1e-4",
             )
         reactions = self.stiffness @ motion - dense
         reactions[self._free] = 0.0
@@ -154,15 +156,17 @@ class ShellModel:
         count = len(self.nodes_mm)
         if self.fixed.shape != (count, 6):
             raise NumericalError(
-                f"fixed must have one flag per DOF, ({count}, 6) (got {self.fixed.shape})"
+                "fixed-flags-shape",
+                f"fixed must have one flag per DOF, ({count}, 6) (got {self.fixed.shape})",
             )
         used = np.zeros(count, dtype=np.bool_)
         used[self.quads] = True
         lonely = ~used & ~self.fixed.all(axis=1)
         if np.any(lonely):
             raise NumericalError(
+                "node-without-element",
                 f"node {int(np.argmax(lonely))} belongs to no element ({int(lonely.sum())} in "
-                "all) and is free; remove it from the mesh or hold it"
+                "all) and is free; remove it from the mesh or hold it",
             )
         ring = np.roll(self.quads, -1, axis=1)
         links = coo_matrix(
@@ -173,9 +177,10 @@ class ShellModel:
             mine = label == body
             if used[mine].any() and _rigid_rank(self.nodes_mm[mine], self.fixed[mine]) < 6:
                 raise NumericalError(
+                    "shell-not-held",
                     f"the shell is not held: a body of {int(mine.sum())} nodes can move rigidly "
                     f"(constraints block {_rigid_rank(self.nodes_mm[mine], self.fixed[mine])} of "
-                    "6 motions); fix a rim or add supports"
+                    "6 motions); fix a rim or add supports",
                 )
 
 
@@ -239,9 +244,12 @@ def _refuse_bad_numbers(
         array = np.asarray(value)
         if not (np.all(np.isfinite(array)) and np.all(array > low)):
             raise NumericalError(
+                "material-value-invalid",
                 f"{label} must be finite{'' if low else ' and positive'} "
                 f"(least value {np.min(array):g}, {int((~np.isfinite(array)).sum())} not finite); "
-                "correct the model's input"
+                "correct the model's input",
             )
     if not 0.0 <= poisson < 0.5:
-        raise NumericalError(f"poisson must lie in [0, 0.5) (got {poisson!r})")
+        raise NumericalError(
+            "poisson-out-of-range", f"poisson must lie in [0, 0.5) (got {poisson!r})"
+        )

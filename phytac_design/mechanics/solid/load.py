@@ -83,9 +83,10 @@ def solid_patch_load(
     total = float(np.sum(force @ inward))
     if not (np.isfinite(total) and total > 0.0):
         raise NumericalError(
+            "solid-contact-off-mesh",
             f"a contact of radius {radius_mm!r} mm at (u, v) = ({centre[0, 0]:.6g}, "
             f"{centre[0, 1]:.6g}) meets no cell of the solid mesh; move it onto the shell, make "
-            "it larger, or mesh finer under it"
+            "it larger, or mesh finer under it",
         )
     nodal = np.einsum("fqk,qi->fik", force / total, shape_triangle(L)[0])
     load = np.zeros_like(mesh.nodes_mm)

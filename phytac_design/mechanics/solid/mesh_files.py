@@ -36,7 +36,8 @@ def check_formats(formats: Collection[str]) -> None:
     wrong = sorted(set(formats) - set(FORMATS))
     if wrong or not formats:
         raise DesignError(
-            f"formats are {', '.join(FORMATS)} (got {', '.join(wrong) or 'none'}); e.g. inp,vtu"
+            "mesh-format-unknown",
+            f"formats are {', '.join(FORMATS)} (got {', '.join(wrong) or 'none'}); e.g. inp,vtu",
         )
 
 
@@ -55,7 +56,7 @@ def make_folder(folder: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise OutputError(
-            f"cannot write {folder}: {error.strerror}; choose another --out"
+            "output-not-writable", f"cannot write {folder}: {error.strerror}; choose another --out"
         ) from None
 
 
@@ -120,11 +121,14 @@ def check_solid(
     surface = sensor.surface
     if surface.periodic != (False, True) or any(surface.poles):
         raise DesignError(
+            "solid-shape-unsupported",
             f"solid meshes are made of shapes that close around and are open at both ends, so far "
-            f"(got {surface.name!r}); leave out --solid for the shell"
+            f"(got {surface.name!r}); leave out --solid for the shell",
         )
     if not place.radius_mm > 0.0:
-        raise DesignError("a solid is pressed on a disc: give --radius above 0 (got 0)")
+        raise DesignError(
+            "solid-radius-missing", "a solid is pressed on a disc: give --radius above 0 (got 0)"
+        )
     return coarsened(sensor, size)
 
 

@@ -140,19 +140,21 @@ def coarsened(sensor: Sensor, factor: float | None) -> tuple[float, SolidSizes, 
                 break
     elif not 0.1 <= factor <= SETTINGS.max_factor:
         raise DesignError(
+            "solid-size-factor",
             f"the factor on solid mesh sizes is 0.1 to {SETTINGS.max_factor:g} (got {factor}); "
             "coarser "
-            "meshes are several percent too stiff"
+            "meshes are several percent too stiff",
         )
     sizes = base.scaled(factor)
     nodes = expected_nodes(sensor, sizes)
     if nodes > SETTINGS.max_nodes:
         raise DesignError(
+            "solid-too-many-nodes",
             f"a solid of this sensor would have about {round(nodes, -4)} nodes at sizes × "
             f"{factor:.2g}, more than {SETTINGS.max_nodes}, and need {nodes * 13e-6:.0f} GB or "
             "more: raise "
             f"--size (up to {SETTINGS.max_factor:g}), or cut out a part of the sensor as a "
-            "smaller design"
+            "smaller design",
         )
     return factor, sizes, nodes
 
@@ -320,7 +322,10 @@ def with_sets(raw: Tetrahedra, sensor: Sensor, *, receptors: bool) -> SolidMesh:
     }
     sets = {name: np.unique(raw.triangles[part]) for name, part in ends.items()}
     if not all(len(part) for part in ends.values()):
-        raise NumericalError("the solid mesh has no end face at a rim; please report this design")
+        raise NumericalError(
+            "solid-end-face-missing",
+            "the solid mesh has no end face at a rim; please report this design",
+        )
     tips: tuple[IntArray, ...] = ()
     if receptors:
         tips = _tip_faces(points[corners[:, :3]], design, markers, near)
@@ -351,7 +356,8 @@ def _tip_faces(
     bare = [i for i, part in enumerate(tips) if not len(part)]
     if bare:
         raise NumericalError(
+            "solid-end-face-missing",
             f"the solid mesh has no end face for receptor {bare[0]} ({len(bare)} in all); "
-            "please report this design"
+            "please report this design",
         )
     return tips

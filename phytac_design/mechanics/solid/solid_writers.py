@@ -56,8 +56,9 @@ def check_load(mesh: Tetrahedra, load: FloatArray) -> None:
     """Raise a NumericalError unless the load has three finite forces per node."""
     if np.shape(load) != mesh.nodes_mm.shape or not np.all(np.isfinite(load)):
         raise NumericalError(
+            "load-vector-invalid",
             f"the load needs three finite forces per node, {mesh.nodes_mm.shape} "
-            f"(got {np.shape(load)})"
+            f"(got {np.shape(load)})",
         )
 
 

@@ -48,8 +48,9 @@ def _gmsh() -> Any:
         import gmsh  # type: ignore[import-untyped]  # it ships no types
     except (ImportError, OSError) as error:
         raise MissingPartError(
+            "missing-library",
             f"no solid meshes: gmsh cannot be imported ({error}); pip install gmsh, and on "
-            "Debian/Ubuntu: sudo apt-get install libglu1-mesa libxcursor1 libxinerama1 libxft2"
+            "Debian/Ubuntu: sudo apt-get install libglu1-mesa libxcursor1 libxinerama1 libxft2",
         ) from error
     return gmsh
 
@@ -99,8 +100,9 @@ def tetrahedra(
         raise
     except Exception as error:  # gmsh raises bare Exceptions
         raise NumericalError(
+            "gmsh-failed",
             f"gmsh cannot mesh the solid ({error}); make the mesh sizes smaller than the "
-            "smallest wall, or check the design with `phytac check`"
+            "smallest wall, or check the design with `phytac check`",
         ) from error
     finally:
         gmsh.finalize()
@@ -126,8 +128,9 @@ def _read(gmsh: Any) -> Tetrahedra:
     worst = float(jacobian_ratio(mesh).min(initial=np.inf))
     if not MIN_JACOBIAN < worst < np.inf:
         raise NumericalError(
+            "solid-element-folded",
             f"a solid element is folded (least Jacobian over largest {worst:.2g}, {len(tets)} "
-            "elements); make the mesh sizes smaller where faces curve"
+            "elements); make the mesh sizes smaller where faces curve",
         )
     return mesh
 

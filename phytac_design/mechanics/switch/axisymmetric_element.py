@@ -79,8 +79,9 @@ def geometry(nodes_mm: FloatArray, quads: IntArray) -> Geometry:
     if not (area > 0.0).all() or not (radius > 0.0).all():
         worst = int(np.argmin(np.minimum(area, radius).min(axis=1)))
         raise NumericalError(
+            "switch-element-folded",
             f"element {worst} of the switch's mesh is folded or reaches beyond the axis (got "
-            f"Jacobian {area[worst].min():.3g}); ask for a less extreme shape"
+            f"Jacobian {area[worst].min():.3g}); ask for a less extreme shape",
         )
     gradient = np.einsum("egcd,dgk->egck", np.linalg.inv(jacobian), local)
     weight = 2.0 * np.pi * radius * area * np.outer(part, part).ravel()

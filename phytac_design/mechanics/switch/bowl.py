@@ -58,30 +58,35 @@ class Bowl:
         for name, value in vars(self).items():
             if not (np.isfinite(value) and value > 0.0):
                 raise DesignError(
-                    f"the bowl's {name} must be a positive number (got {value:g}); give it in mm"
+                    "bowl-size-not-positive",
+                    f"the bowl's {name} must be a positive number (got {value:g}); give it in mm",
                 )
         if self.thickness_mm >= self.depth_mm:
             raise DesignError(
+                "bowl-wall-too-thick",
                 f"the bowl is no bowl: its wall of {self.thickness_mm:g} mm is not thinner than "
-                f"its depth of {self.depth_mm:g} mm; lower the wall or raise the depth"
+                f"its depth of {self.depth_mm:g} mm; lower the wall or raise the depth",
             )
         half = 0.5 * self.diameter_mm
         if self.depth_mm + self.thickness_mm > half:
             raise DesignError(
+                "bowl-too-tall",
                 f"the bowl is taller than half a sphere ({self.depth_mm + self.thickness_mm:.3g} "
                 f"mm > {half:.3g} mm), so that no mold releases it; lower the depth or raise the "
-                "diameter"
+                "diameter",
             )
         if 0.5 * self.pad_diameter_mm > 0.7 * half or self.stem_diameter_mm > self.pad_diameter_mm:
             raise DesignError(
+                "bowl-pad-size",
                 f"the pad must be wider than the stem and leave the bowl free (got pad "
                 f"{self.pad_diameter_mm:g}, stem {self.stem_diameter_mm:g}, bowl "
-                f"{self.diameter_mm:g} mm); take a pad of at most {1.4 * half:.3g} mm"
+                f"{self.diameter_mm:g} mm); take a pad of at most {1.4 * half:.3g} mm",
             )
         if 0.5 * self.stem_diameter_mm > 0.9 * self.inner_base_mm:
             raise DesignError(
+                "bowl-stem-too-wide",
                 f"the stem fills the bowl (stem {self.stem_diameter_mm:g} mm, bowl "
-                f"{2.0 * self.inner_base_mm:.3g} mm inside); lower the stem or the wall"
+                f"{2.0 * self.inner_base_mm:.3g} mm inside); lower the stem or the wall",
             )
 
     @property
@@ -184,9 +189,10 @@ def walls(bowl: Bowl, cells: int, stem_cells: int = 4) -> tuple[FloatArray, Floa
     below = (inner - rho) ** 2 - (stem + rho) ** 2
     if root <= 0.0 or start[0] < edge[0] or end[0] > 0.8 * half or below <= 0.0:
         raise DesignError(
+            "bowl-without-membrane",
             f"pad and stem leave no bowl around them (pad {bowl.pad_diameter_mm:g} mm wide and "
             f"{bowl.pad_height_mm:g} high, stem {bowl.stem_diameter_mm:g}, fillets {rho:g}, bowl "
-            f"{bowl.diameter_mm:g} mm); take a narrower pad or a wider bowl"
+            f"{bowl.diameter_mm:g} mm); take a narrower pad or a wider bowl",
         )
     pocket = np.array([stem + rho, centre + np.sqrt(below)])
     touch = np.array([0.0, centre]) + inner / (inner - rho) * (pocket - [0.0, centre])

@@ -23,8 +23,10 @@ class UnsuitableBowlError(DesignError):
         Whether its wall is too thin.
     """
 
-    def __init__(self, text: str, *, shallow: bool = False, thin: bool = False) -> None:
-        super().__init__(text)
+    def __init__(
+        self, code: str, message: str, *, shallow: bool = False, thin: bool = False
+    ) -> None:
+        super().__init__(code, message)
         self.shallow, self.thin = shallow, thin
 
 
@@ -52,7 +54,7 @@ def bowl_of(space: SwitchSpace, fillet_mm: float, depth_mm: float, wall_mm: floa
             fillet_mm=fillet_mm,
         )
     except DesignError as error:
-        raise UnsuitableBowlError(str(error)) from None
+        raise UnsuitableBowlError(error.code, str(error)) from None
 
 
 def evaluate_bowl(curve: ForceStrokeCurve, rubber: Rubber, space: SwitchSpace) -> Snap:
@@ -66,22 +68,25 @@ def evaluate_bowl(curve: ForceStrokeCurve, rubber: Rubber, space: SwitchSpace) -
     snap = snap_of(curve)
     wall = curve.body.bowl.thickness_mm
     if snap is None or snap.valley_N > (1.0 - space.snap_min) * snap.limit_N:
-        raise UnsuitableBowlError(f"a wall of {wall:.3g} mm is too thick to snap")
+        raise UnsuitableBowlError("bowl-no-snap", f"a wall of {wall:.3g} mm is too thick to snap")
     if snap.valley_N < space.release_margin * snap.limit_N:
         raise UnsuitableBowlError(
+            "bowl-no-return",
             f"a wall of {wall:.3g} mm does not return (valley {snap.valley_N:.3g} N, margin "
-            f"{space.release_margin * snap.limit_N:.3g} N)"
+            f"{space.release_margin * snap.limit_N:.3g} N)",
         )
     if snap.stroke_mm < space.stroke_mm:
         cause = "" if curve.complete else ", where the wall folds onto itself"
         raise UnsuitableBowlError(
+            "bowl-stroke-too-short",
             f"a wall of {wall:.3g} mm moves the tip by {snap.stroke_mm:.3g} mm{cause}; "
             f"{space.stroke_mm:.3g} mm are needed",
             shallow=curve.complete,
         )
     if snap.strain > rubber.strain_max:
         raise UnsuitableBowlError(
+            "bowl-strain-too-large",
             f"a wall of {wall:.3g} mm is strained by {snap.strain:.0%}, the rubber bears "
-            f"{rubber.strain_max:.0%}"
+            f"{rubber.strain_max:.0%}",
         )
     return snap

@@ -133,8 +133,9 @@ def press_bowl(
         points, complete = error.points, False
     if len(points) < 2:
         raise NumericalError(
+            "switch-not-pressable",
             f"a bowl {bowl.diameter_mm:g} mm wide, {bowl.depth_mm:g} deep, {bowl.thickness_mm:g} "
-            "thick cannot be pressed at all in the model; ask for a thinner wall"
+            "thick cannot be pressed at all in the model; ask for a thinner wall",
         )
     z = body.model.mesh.nodes_mm[body.seat, 1]
     clear = [

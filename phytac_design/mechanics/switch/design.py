@@ -91,8 +91,9 @@ def design_switch(
     """
     if not (np.isfinite(threshold_N) and threshold_N > 0.0):
         raise DesignError(
+            "threshold-not-positive",
             f"a switch's threshold must be a positive number of newtons (got {threshold_N:g}); "
-            "0.5 is the published one"
+            "0.5 is the published one",
         )
     reasons = []
     for fillet in fillets(space):
@@ -127,7 +128,7 @@ def design_switch(
             spread=spread,
             tolerance=band,
         )
-    raise DesignError(_refusal(threshold_N, rubber, space, reasons))
+    raise DesignError("switch-infeasible", _refusal(threshold_N, rubber, space, reasons))
 
 
 def _curve_of(
@@ -139,6 +140,7 @@ def _curve_of(
         wall = _wall(threshold_N, rubber, space, fillet_mm, depth, guess_mm=wall)
         if wall < space.wall_min_mm:
             raise UnsuitableBowlError(
+                "bowl-wall-too-thin",
                 f"the wall would be {wall:.4f} mm, thinner than the {space.wall_min_mm:g} mm that "
                 "the mold casts",
                 thin=True,
@@ -214,9 +216,12 @@ def _secant(
         if x == last[0]:
             word = "thick" if y < 0.0 else "thin"
             raise UnsuitableBowlError(
-                f"a wall of {np.exp(x):.3g} mm is as {word} as can be, and not enough"
+                "bowl-threshold-not-reached",
+                f"a wall of {np.exp(x):.3g} mm is as {word} as can be, and not enough",
             )
-    raise UnsuitableBowlError(f"no wall near {np.exp(x):.3g} mm meets the threshold")
+    raise UnsuitableBowlError(
+        "bowl-threshold-not-reached", f"no wall near {np.exp(x):.3g} mm meets the threshold"
+    )
 
 
 def _buckling(curve: ForceStrokeCurve, snap: Snap) -> dict[int, float]:
@@ -232,8 +237,9 @@ def _buckling(curve: ForceStrokeCurve, snap: Snap) -> dict[int, float]:
     if early:
         mode = min(early, key=lambda n: early[n])
         raise UnsuitableBowlError(
+            "bowl-buckles-early",
             f"the bowl buckles with {mode} waves around its axis at {early[mode]:.3g} mm, before "
-            f"its limit load at {snap.limit_stroke_mm:.3g} mm"
+            f"its limit load at {snap.limit_stroke_mm:.3g} mm",
         )
     return at
 

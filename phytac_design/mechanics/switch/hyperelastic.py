@@ -164,8 +164,9 @@ def bulk_of(shear_MPa: float, poisson: float) -> float:
     """
     if not 0.0 <= poisson <= MAX_POISSON:
         raise DesignError(
+            "rubber-poisson-invalid",
             f"Poisson's ratio of the switch must lie within 0 and {MAX_POISSON} (got "
-            f"{poisson:g}); for a rubber that keeps its volume take 0.499"
+            f"{poisson:g}); for a rubber that keeps its volume take 0.499",
         )
     return 2.0 * shear_MPa * (1.0 + poisson) / (3.0 * (1.0 - 2.0 * poisson))
 
@@ -180,8 +181,9 @@ def neo_hookean(*, modulus_MPa: float, poisson: float) -> Yeoh:
     """
     if not (np.isfinite(modulus_MPa) and 1e-3 <= modulus_MPa <= 1e6):
         raise DesignError(
+            "rubber-modulus-invalid",
             f"the switch's modulus must lie within 0.001 and 1e6 MPa (got {modulus_MPa:g}); soft "
-            "rubbers have 0.3 to 30 MPa"
+            "rubbers have 0.3 to 30 MPa",
         )
     bulk_of(1.0, poisson)
     shear = modulus_MPa / (2.0 * (1.0 + poisson))

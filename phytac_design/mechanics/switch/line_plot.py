@@ -66,9 +66,12 @@ def check_svg(path: Path) -> None:
         If its name does not end in .svg, or its folder does not exist.
     """
     if path.suffix != ".svg":
-        raise OutputError(f"plots of switches are SVG (got {path.name}); name the file *.svg")
+        raise OutputError(
+            "plot-format-unknown",
+            f"plots of switches are SVG (got {path.name}); name the file *.svg",
+        )
     if not path.parent.is_dir():
-        raise OutputError(f"there is no folder {path.parent}; make it first")
+        raise OutputError("output-not-writable", f"there is no folder {path.parent}; make it first")
 
 
 def write_svg(path: Path, text: str) -> Path:
@@ -83,5 +86,7 @@ def write_svg(path: Path, text: str) -> Path:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"cannot write {path} ({error}); choose another place") from None
+        raise OutputError(
+            "output-not-writable", f"cannot write {path} ({error}); choose another place"
+        ) from None
     return path

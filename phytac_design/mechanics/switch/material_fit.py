@@ -95,24 +95,34 @@ def read_test(path: Path) -> tuple[FloatArray, FloatArray]:
         return data[:, names.index("stretch")], data[:, names.index("stress_MPa")]
     except (OSError, ValueError, IndexError) as error:
         raise InputError(
+            "tensile-file-invalid",
             f"{path} is not a tensile test ({cause_of(error)}); write a CSV with the header "
-            "'stretch,stress_MPa' and one line per reading"
+            "'stretch,stress_MPa' and one line per reading",
         ) from None
 
 
 def _check(stretch: FloatArray, stress: FloatArray, law: str) -> None:
     if law not in TERMS:
-        raise InputError(f"no law {law!r} of rubbers; known: {', '.join(TERMS)}")
+        raise InputError(
+            "rubber-law-unknown", f"no law {law!r} of rubbers; known: {', '.join(TERMS)}"
+        )
     need = 2 * TERMS[law]
     if stretch.shape != stress.shape or stretch.ndim != 1 or len(stretch) < need:
         raise InputError(
+            "tensile-too-few-readings",
             f"a fit of {law} needs {need} pairs of stretch and stress (got shapes "
-            f"{stretch.shape} and {stress.shape}); give more readings or take neo-hookean"
+            f"{stretch.shape} and {stress.shape}); give more readings or take neo-hookean",
         )
     if not (np.isfinite(stretch).all() and np.isfinite(stress).all() and (stretch > 0).all()):
-        raise InputError("stretches must be positive and stresses finite; check the test's file")
+        raise InputError(
+            "tensile-value-invalid",
+            "stretches must be positive and stresses finite; check the test's file",
+        )
     if not np.any(np.abs(stretch - 1.0) > 1e-3):
-        raise InputError("the test never stretches the rubber by 0.1 %; is it strain, not stretch?")
+        raise InputError(
+            "tensile-stretch-too-small",
+            "the test never stretches the rubber by 0.1 %; is it strain, not stretch?",
+        )
 
 
 def _fit_yeoh(stretch: FloatArray, stress: FloatArray, terms: int, poisson: float) -> Yeoh:
@@ -122,8 +132,9 @@ def _fit_yeoh(stretch: FloatArray, stress: FloatArray, terms: int, poisson: floa
     found = np.linalg.lstsq(columns, stress, rcond=None)[0]
     if found[0] <= 0.0:
         raise InputError(
+            "rubber-fit-negative-stiffness",
             f"the fit gives a negative stiffness at rest (C₁ = {found[0]:.3g} MPa); give readings "
-            "at small stretch, or take neo-hookean"
+            "at small stretch, or take neo-hookean",
         )
     return Yeoh(
         coefficients_MPa=tuple(found.tolist()), bulk_MPa=bulk_of(2.0 * float(found[0]), poisson)
@@ -156,8 +167,9 @@ def _fit_ogden(stretch: FloatArray, stress: FloatArray, poisson: float, seed: in
     shear = 0.5 * float(terms @ best)
     if shear <= 0.0:
         raise InputError(
+            "rubber-fit-negative-stiffness",
             f"the fit gives a negative stiffness at rest ({shear:.3g} MPa); give readings at small "
-            "stretch, or take neo-hookean"
+            "stretch, or take neo-hookean",
         )
     return Ogden(
         shear_terms_MPa=tuple(terms.tolist()),
@@ -182,6 +194,7 @@ def _check_stable(material: Yeoh | Ogden, stretch: FloatArray, law: str) -> None
         if np.any(np.diff(rise) <= 0.0):
             worst = line[int(np.argmin(np.diff(rise)))]
             raise InputError(
+                "rubber-fit-unstable",
                 f"the fitted {law} law is unstable in {name} at a stretch of {worst:.2f} (its "
-                "stress falls); take neo-hookean, or give readings of a wider range"
+                "stress falls); take neo-hookean, or give readings of a wider range",
             )

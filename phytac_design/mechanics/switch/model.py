@@ -155,8 +155,9 @@ class AxiModel:
         number = int(self.equation[2 * node + axis])
         if number == HELD:
             raise NumericalError(
+                "switch-node-held",
                 f"node {node} of the switch's mesh is held in axis {axis}; load or follow a node "
-                "that moves"
+                "that moves",
             )
         return number
 

@@ -76,7 +76,8 @@ def rubber(name: str) -> Rubber:
     """
     if name not in RUBBERS:
         raise DesignError(
+            "rubber-unknown",
             f"no data for the rubber {name!r}; known: {', '.join(sorted(RUBBERS))}, or fit a law "
-            "to a tensile test (CSV of stretch, stress_MPa)"
+            "to a tensile test (CSV of stretch, stress_MPa)",
         )
     return RUBBERS[name]

@@ -81,11 +81,14 @@ def chosen_rubber(
         return preset if modulus_MPa is None else preset.of_modulus(modulus_MPa)
     if modulus_MPa is not None:
         raise DesignError(
+            "modulus-given-twice",
             f"a tensile test sets the modulus itself (got {test} and {modulus_MPa:g} MPa); leave "
-            "out one"
+            "out one",
         )
     if law not in TERMS:
-        raise InputError(f"no law {law!r} of rubbers; known: {', '.join(TERMS)}")
+        raise InputError(
+            "rubber-law-unknown", f"no law {law!r} of rubbers; known: {', '.join(TERMS)}"
+        )
     stretch, stress = read_test(test)
     fit = fit_uniaxial(
         stretch,

@@ -75,8 +75,9 @@ class PathError(NumericalError):
         What was found of it.
     """
 
-    def __init__(self, text: str, points: "list[PathPoint]") -> None:
-        super().__init__(text)
+    def __init__(self, code: str, message: str, points: "list[PathPoint]") -> None:
+        super().__init__(code, message)
+        self.args = (code, message, points)
         self.points = points
 
 
@@ -121,7 +122,10 @@ def rest(model: AxiModel, load: FloatArray) -> PathPoint:
 def _state(model: AxiModel, unknowns: FloatArray) -> State:
     state = model.state(unknowns)
     if state is None:
-        raise NotFoundError("an element of the switch turns inside out; ask for shorter steps")
+        raise NotFoundError(
+            "switch-element-inverted",
+            "an element of the switch turns inside out; ask for shorter steps",
+        )
     return state
 
 
@@ -131,7 +135,7 @@ def _factor(state: State) -> Any:
     try:
         return splu(state.tangent, **SUPERLU)
     except RuntimeError:
-        raise NotFoundError("the tangent is singular") from None
+        raise NotFoundError("switch-tangent-singular", "the tangent is singular") from None
 
 
 def _point(load: FloatArray, unknowns: FloatArray, factor_: float, state: State) -> PathPoint:
@@ -179,7 +183,7 @@ def correct(
         change = (gap - float(row @ balance)) / float(row @ drive)
         unknowns = unknowns + balance + change * drive
         factor_ += change
-    raise NotFoundError("Newton's method does not converge")
+    raise NotFoundError("switch-newton-diverged", "Newton's method does not converge")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,6 +261,7 @@ def trace(
             step = min(step * growth, limit)
         if step < SETTINGS.min_step_share * limit or len(points) > max_points:
             raise PathError(
+                "switch-path-ended",
                 "the switch's path cannot be followed beyond "
                 f"{abs(points[-1].unknowns[control.unknown]):.4g} of {abs(control.end_mm):.4g} mm "
                 f"(after {len(points)} points); ask for a thinner wall or a shorter way",

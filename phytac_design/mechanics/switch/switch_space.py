@@ -54,27 +54,31 @@ class SwitchSpace:
         for name, value in vars(self).items():
             if not (np.isfinite(value) and value >= 0.0):
                 raise DesignError(
-                    f"the switch's {name} must be a number of at least 0 (got {value:g})"
+                    "switch-size-invalid",
+                    f"the switch's {name} must be a number of at least 0 (got {value:g})",
                 )
         if self.stem_diameter_mm >= self.hole_diameter_mm:
             raise DesignError(
+                "stem-wider-than-hole",
                 f"the stem does not pass the hole (stem {self.stem_diameter_mm:g} mm ≥ hole "
-                f"{self.hole_diameter_mm:g} mm); lower switch.tip_diameter_mm"
+                f"{self.hole_diameter_mm:g} mm); lower switch.tip_diameter_mm",
             )
         minimum = self.hole_diameter_mm + 4.0 * self.wall_min_mm
         if self.diameter_mm < minimum:
             raise DesignError(
+                "bowl-no-room",
                 f"no bowl stands around the hole: {self.diameter_mm:.3g} mm are free (footprint "
                 f"{self.footprint_diameter_mm:g}, pitch {self.pitch_mm:g} less gap "
                 f"{self.gap_mm:g}), a {self.hole_diameter_mm:g} mm hole and two walls need "
-                f"{minimum:.3g}; raise switch.footprint_diameter_mm or the pitch"
+                f"{minimum:.3g}; raise switch.footprint_diameter_mm or the pitch",
             )
         if self.depth_max_mm - self.wall_min_mm <= self.stroke_mm:
             raise DesignError(
+                "bowl-too-shallow",
                 f"a bowl {self.diameter_mm:.3g} mm wide is at most "
                 f"{self.depth_max_mm - self.wall_min_mm:.3g} mm deep with {self.draft_deg:g} "
                 f"degrees of draft, too little for a stroke of {self.stroke_mm:g} mm; raise the "
-                "footprint or the pitch, or ask for less red"
+                "footprint or the pitch, or ask for less red",
             )
 
     @property
@@ -112,5 +116,6 @@ class Tolerance:
         for name, value in vars(self).items():
             if not (np.isfinite(value) and 0.0 <= value <= 0.5):
                 raise DesignError(
-                    f"the tolerance of {name} must lie within 0 and 0.5 (got {value:g})"
+                    "switch-tolerance-invalid",
+                    f"the tolerance of {name} must lie within 0 and 0.5 (got {value:g})",
                 )

@@ -87,9 +87,10 @@ def threshold_spread(
     else:
         if walls[0] <= 0.2 * bowl.thickness_mm:
             raise DesignError(
+                "tolerance-exceeds-wall",
                 f"the wall's tolerance (± {tolerance.thickness_mm:g} mm) eats the wall of "
                 f"{bowl.thickness_mm:.3g} mm; cast more precisely, or take a softer rubber, which "
-                "asks for a thicker wall"
+                "asks for a thicker wall",
             )
         loads = _loads(bowl, material, walls, hole_diameter_mm)
         curve = CubicSpline(np.log(walls), np.log(loads))
@@ -123,9 +124,10 @@ def _loads(
             load = None
         if load is None:
             raise DesignError(
+                "tolerance-prevents-snap",
                 f"a bowl with a wall of {wall:.3g} mm, within three deviations of "
                 f"{bowl.thickness_mm:.3g} mm, does not snap; cast more precisely, or take a "
-                "stiffer rubber, which asks for a thinner wall"
+                "stiffer rubber, which asks for a thinner wall",
             )
         loads.append(load)
     return np.array(loads)

@@ -182,7 +182,7 @@ class ImagingModel:
             If it cannot be read, see :attr:`status`.
         """
         if isinstance(self._rest, str):
-            raise InputError(self._rest)
+            raise InputError("rest-frame-undecodable", self._rest)
         return self._rest
 
     def frame(

@@ -157,8 +157,9 @@ def _marker_ids(log: RigLog, markers: Markers, problems: RowProblems) -> IntArra
         return np.where(good, np.nan_to_num(named), -1.0).astype(np.int64)
     if not markers.in_rows:
         raise InputError(
+            "rig-layout-without-rows",
             f"{log.path}: this design's layout has no rows and columns; give positions as marker, "
-            "u,v or x_mm,y_mm,z_mm"
+            "u,v or x_mm,y_mm,z_mm",
         )
     row, column = log.numbers["row"], log.numbers["column"]
     known = {
@@ -198,8 +199,9 @@ def _on_surface(
                 < 0.1
             ):
                 raise InputError(
+                    "rig-position-unit",
                     f"{log.path}: positions lie off the surface, but as {unit} most lie on it; "
-                    f"columns x_mm, y_mm, z_mm are in mm: multiply them by {times:g}"
+                    f"columns x_mm, y_mm, z_mm are in mm: multiply them by {times:g}",
                 )
     out, gap = np.full((len(points_mm), 2), np.nan), np.zeros(len(points_mm))
     out[given] = np.where(far[:, None], np.nan, uv)
@@ -257,8 +259,9 @@ def _forces(
     known = np.isfinite(force) & (force != 0.0)
     if known.any() and np.mean(force[known] < 0.0) > 0.5:
         raise InputError(
+            "rig-force-sign",
             f"{log.path}: most forces pull outward; {turn}: if the load cell gives its own "
-            "reaction, turn the sign"
+            "reaction, turn the sign",
         )
     most = design.training.force_max_N
     middle = float(np.median(force[known])) if known.any() else 0.0
@@ -266,8 +269,9 @@ def _forces(
         fits = [unit for unit, times in FORCE_UNITS.items() if middle * times <= most]
         guess = f"in {' or '.join(fits)} they would fit; " if fits else ""
         raise InputError(
+            "rig-force-unit",
             f"{log.path}: half of the forces are above {middle:g} N, and the sensor is made for up "
-            f"to {most:g} N; {guess}convert them to N"
+            f"to {most:g} N; {guess}convert them to N",
         )
     problems.add_rows(
         np.nan_to_num(force) < 0.0,

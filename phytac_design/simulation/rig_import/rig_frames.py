@@ -58,12 +58,15 @@ class FrameFolder(FrameSource):
         try:
             entries = list(where.iterdir())
         except OSError as error:
-            raise InputError(f"no frames at {where} ({error.strerror})") from None
+            raise InputError(
+                "file-unreadable", f"no frames at {where} ({error.strerror})"
+            ) from None
         files = [item for item in entries if item.suffix.lower() in SUFFIXES]
         if not files:
             raise InputError(
+                "folder-without-images",
                 f"{where} holds no image; give the folder of the frames ({', '.join(SUFFIXES)}) or "
-                "a video"
+                "a video",
             )
         self.files = sorted(files, key=lambda item: (_trailing(item.stem), item.name))
         self.names = tuple(item.name for item in self.files)
@@ -106,7 +109,9 @@ class FrameVideo(FrameSource):
         while self._video.grab():
             times.append(self._video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
         if not times:
-            raise InputError(f"{where} is not a video that can be read, or holds no frame")
+            raise InputError(
+                "file-not-video", f"{where} is not a video that can be read, or holds no frame"
+            )
         rate = fps or float(self._video.get(cv2.CAP_PROP_FPS))
         self.names = tuple(str(number) for number in range(len(times)))
         stamps = np.array(times) - times[0]
@@ -119,7 +124,8 @@ class FrameVideo(FrameSource):
         self._video, self._next = cv2.VideoCapture(str(self.where)), 0
         if not self._video.isOpened():
             raise InputError(
-                f"{self.where} is not a video that can be read; give a video or a folder of images"
+                "file-not-video",
+                f"{self.where} is not a video that can be read; give a video or a folder of images",
             )
 
     def read(self, number: int) -> ImageArray:
@@ -131,7 +137,7 @@ class FrameVideo(FrameSource):
         good, image = self._video.read()
         self._next += 1
         if not good:
-            raise InputError(f"{self.where}: frame {number} cannot be decoded")
+            raise InputError("frame-not-decoded", f"{self.where}: frame {number} cannot be decoded")
         return np.asarray(image, dtype=np.uint8)
 
     def find(self, text: str) -> int | None:
@@ -227,9 +233,10 @@ def _nearest(
 ) -> tuple[IntArray, list[str]]:
     if source.time_s is None or log.time_s is None:
         raise InputError(
+            "rig-frame-times-missing",
             f"{source.where}: when its frames were taken is not said; name them by their time "
             "(12.350.png in seconds, or whole nanoseconds), give --fps, or add a column 'frame' "
-            f"to {log.path}"
+            f"to {log.path}",
         )
     order = np.argsort(source.time_s, kind="stable")
     stamps = source.time_s[order]
@@ -245,9 +252,10 @@ def _nearest(
     near = gap <= limit * (1.0 + 1e-9) + 1e-9
     if np.isfinite(gap).any() and not near.any():
         raise InputError(
+            "rig-clocks-differ",
             f"no time of {log.path} ({np.nanmin(log.time_s):.3f} to {np.nanmax(log.time_s):.3f} s) "
             f"is within {limit:g} s of a frame of {source.where} ({stamps[0]:.3f} to "
-            f"{stamps[-1]:.3f} s); give --offset-s, the seconds to add to the log's clock"
+            f"{stamps[-1]:.3f} s); give --offset-s, the seconds to add to the log's clock",
         )
     out = np.where(near, order[pair[best, np.arange(len(wanted))]], -1)
     said = [f"the nearest frame is {far:.3g} s away (tolerance {limit:g} s)" for far in gap]

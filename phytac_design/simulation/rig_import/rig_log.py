@@ -89,7 +89,8 @@ class RowProblems:
         """
         if self.found:
             raise InputError(
-                f"{self.text()}; correct them, or leave these samples out with --skip-bad"
+                "rig-rows-invalid",
+                f"{self.text()}; correct them, or leave these samples out with --skip-bad",
             )
 
 
@@ -178,9 +179,9 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]], tupl
     try:
         lines = read_text(path, encoding="utf-8-sig", bytes_max=BYTES_MAX).splitlines()
     except UnicodeDecodeError:
-        raise InputError(f"{path} is not a CSV file: it is not even text") from None
+        raise InputError("file-not-csv", f"{path} is not a CSV file: it is not even text") from None
     except OSError as error:
-        raise InputError(f"no log at {path} ({error.strerror})") from None
+        raise InputError("file-unreadable", f"no log at {path} ({error.strerror})") from None
     names: list[str] = []
     rows: list[tuple[int, dict[str, str]]] = []
     remarks: list[str] = []
@@ -197,11 +198,14 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]], tupl
                 continue
             if len(cells) != len(names):
                 raise InputError(
-                    f"{path} line {number}: {len(cells)} fields for {len(names)} columns; {SPLIT}"
+                    "csv-row-length",
+                    f"{path} line {number}: {len(cells)} fields for {len(names)} columns; {SPLIT}",
                 )
             rows.append((number, dict(zip(names, cells, strict=True)) | {"#": note}))
     if not rows:
-        raise InputError(f"{path} holds no contacts: a line of column names and rows are due")
+        raise InputError(
+            "csv-empty", f"{path} holds no contacts: a line of column names and rows are due"
+        )
     return names, rows, tuple(remarks)
 
 
@@ -221,10 +225,12 @@ def _with_notes(names: list[str], rows: list[tuple[int, dict[str, str]]]) -> lis
 
 def _check_names(path: Path, names: list[str]) -> None:
     if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
-        raise InputError(f"{path}: the columns' names stand in one field; {SPLIT}")
+        raise InputError("csv-separator", f"{path}: the columns' names stand in one field; {SPLIT}")
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"{path}: column {name!r} stands there twice; keep one")
+            raise InputError(
+                "csv-column-duplicate", f"{path}: column {name!r} stands there twice; keep one"
+            )
         if name in KNOWN or name in IGNORED:
             continue
         stem = name.rpartition("_")[0]
@@ -235,16 +241,20 @@ def _check_names(path: Path, names: list[str]) -> None:
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(KNOWN)}"
         if same:
             hint = f"units are those of {same[0]!r}: convert its numbers and call it so"
-        raise InputError(f"{path}: unknown column {name!r}; {hint}")
+        raise InputError("csv-column-unknown", f"{path}: unknown column {name!r}; {hint}")
     for what, ways in (("position", PLACES), ("force", FORCES)):
         begun = [way for way in ways if set(way) & set(names)]
         if len(begun) != 1 or not set(begun[0]) <= set(names):
             sets = " or ".join(",".join(way) for way in ways)
-            raise InputError(f"{path}: a contact's {what} must be given by exactly one of {sets}")
+            raise InputError(
+                "csv-position-ambiguous",
+                f"{path}: a contact's {what} must be given by exactly one of {sets}",
+            )
     if not set(MATCHES) & set(names):
         raise InputError(
+            "rig-frame-column-missing",
             f"{path}: which picture belongs to which row is not said; add a column 'frame' (file "
-            "name or number) or 'timestamp_s'"
+            "name or number) or 'timestamp_s'",
         )
 
 

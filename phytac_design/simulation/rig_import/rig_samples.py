@@ -88,8 +88,9 @@ def rest_positions_of(
         return None
     if len(rest) != len(rig.sources):
         raise InputError(
+            "camera-count",
             f"--rest was given {len(rest)} times for {len(rig.sources)} cameras; give one of each, "
-            "the near end's first"
+            "the near end's first",
         )
     images = []
     for text, source in zip(rest, rig.sources, strict=True):

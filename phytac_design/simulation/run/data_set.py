@@ -25,8 +25,9 @@ def gather_samples(job: Job, journal: Journal) -> Samples:
     missing = [index for index, item in enumerate(items) if item is None]
     if missing:
         raise OutputError(
+            "sample-store-damaged",
             f"sample {missing[0]} was stored but cannot be read again; check the disk, then run "
-            "the same command again"
+            "the same command again",
         )
     facts = [item[0] for item in items if item is not None]
     arrays = [item[1] for item in items if item is not None]

@@ -57,23 +57,29 @@ class Job:
         """
         if not (isinstance(self.design, Design) and isinstance(self.scenario, Scenario)):
             raise DesignError(
+                "job-not-loaded",
                 "a job needs a design and a scenario that are loaded (got "
                 f"{type(self.design).__name__} and {type(self.scenario).__name__}); use "
-                "load_design and load_scenario"
+                "load_design and load_scenario",
             )
         if self.accuracy not in PRESETS:
             known = ", ".join(PRESETS)
-            raise DesignError(f"accuracy must be one of {known} (got {self.accuracy!r})")
+            raise DesignError(
+                "accuracy-unknown", f"accuracy must be one of {known} (got {self.accuracy!r})"
+            )
         if self.keep not in get_args(Keep):
             known = ", ".join(get_args(Keep))
-            raise DesignError(f"keep must be one of {known} (got {self.keep!r})")
+            raise DesignError("keep-unknown", f"keep must be one of {known} (got {self.keep!r})")
         if self.keep == "frames" and self.scenario.solve.route != "frames":
             raise DesignError(
+                "frames-not-rendered",
                 "frames cannot be kept where none are made (got route = 'points'); set "
-                "solve.route = 'frames', or --route frames"
+                "solve.route = 'frames', or --route frames",
             )
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise DesignError(f"the seed must be a whole number from 0 on (got {self.seed!r})")
+            raise DesignError(
+                "seed-invalid", f"the seed must be a whole number from 0 on (got {self.seed!r})"
+            )
 
     @cached_property
     def key(self) -> str:

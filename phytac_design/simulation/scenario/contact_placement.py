@@ -74,8 +74,9 @@ def chart_window(surface: Surface, touch: ContactsSection) -> ChartWindow:
     if size[1] < 0.0:
         if not surface.periodic[1]:
             raise DesignError(
+                "range-over-open-seam",
                 f"touch.around runs over a seam, but the {surface.name} is open there (got "
-                f"{list(touch.around)}); let it grow"
+                f"{list(touch.around)}); let it grow",
             )
         size[1] += 1.0
     return ChartWindow(low=start + first * span, size=size * span, surface=surface)
@@ -132,7 +133,8 @@ def traverse(surface: Surface, markers: Markers, touch: ContactsSection) -> IntA
 
 def _nothing(what: str) -> DesignError:
     return DesignError(
-        f"the touched part of the chart holds no {what}; widen touch.along and touch.around"
+        "contact-range-empty",
+        f"the touched part of the chart holds no {what}; widen touch.along and touch.around",
     )
 
 
@@ -242,16 +244,18 @@ def _place_at(surface: Surface, markers: Markers, number: int, item: GivenContac
         found = surface.chart(np.array([item.point_mm]))[0]
         if not np.isfinite(found).all():
             raise DesignError(
+                "contact-point-ambiguous",
                 f"{where}: no point of the {surface.name} is nearest to point_mm = "
-                f"{list(item.point_mm)}; move it off the axis"
+                f"{list(item.point_mm)}; move it off the axis",
             )
         closed = np.array(surface.periodic)
         uv = np.asarray(np.where(closed, found, np.clip(found, start, end)))
         away = float(np.linalg.norm(surface.point(uv[None])[0] - np.array(item.point_mm)))
         if away > SURFACE_GAP_MAX_mm + item.radius_mm:
             raise DesignError(
+                "contact-point-off-surface",
                 f"{where}: point_mm = {list(item.point_mm)} is {away:.3g} mm from the "
-                f"{surface.name}; give a point on its outer face, in mm, in the sensor's frame"
+                f"{surface.name}; give a point on its outer face, in mm, in the sensor's frame",
             )
         return uv
     if item.along is not None and item.around is not None:
@@ -259,16 +263,20 @@ def _place_at(surface: Surface, markers: Markers, number: int, item: GivenContac
     if item.marker is not None:
         if item.marker >= markers.count:
             raise DesignError(
+                "marker-unknown",
                 f"{where}: the layout has receptors 0 to {markers.count - 1} (got marker = "
-                f"{item.marker})"
+                f"{item.marker})",
             )
         return np.asarray(markers.uv[item.marker])
     if not markers.in_rows:
-        raise DesignError(f"{where}: this layout has no rows; name the receptor by marker")
+        raise DesignError(
+            "layout-without-rows", f"{where}: this layout has no rows; name the receptor by marker"
+        )
     here = (markers.row == item.row) & (markers.column == item.column)
     if not here.any():
         raise DesignError(
+            "marker-unknown",
             f"{where}: the layout has no receptor in row {item.row}, column {item.column} (rows "
-            f"0 to {markers.row.max()}, columns 0 to {markers.column.max()})"
+            f"0 to {markers.row.max()}, columns 0 to {markers.column.max()})",
         )
     return np.asarray(markers.uv[np.argmax(here)])

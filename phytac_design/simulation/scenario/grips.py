@@ -99,9 +99,10 @@ def _shrink(surface: Surface, uv: FloatArray, reach_mm: FloatArray, count: int) 
     worst = int(np.argmin(out))
     if out[worst] < SETTINGS.share_min:
         raise DesignError(
+            "grip-pads-no-room",
             f"the pads of a hand have no room on the {surface.name}: pad {worst % count} would "
             f"shrink to {out[worst]:.2f} of its radius; give [[grip.pads]] farther apart, or "
-            "smaller touch.radius_max_mm"
+            "smaller touch.radius_max_mm",
         )
     return np.asarray(out)
 
@@ -125,12 +126,14 @@ def level_forces(
     high = SETTINGS.total_share * count * most if grip.total_max_N is None else grip.total_max_N
     if high > count * most:
         raise DesignError(
+            "grip-force-range",
             f"grip.total_max_N = {high:g} is more than {count} pads of {most:g} N can give; lower "
-            "it, or raise touch.force_max_N"
+            "it, or raise touch.force_max_N",
         )
     if low > high:
         raise DesignError(
-            f"grip.total_min_N = {low:g} exceeds the largest sum of {high:g} N; lower it"
+            "grip-force-range",
+            f"grip.total_min_N = {low:g} exceeds the largest sum of {high:g} N; lower it",
         )
     draw = np.array([random_stream(seed, RandomStream.LEVEL, k).random() for k in range(samples)])
     total = low + (high - low) * draw

@@ -78,8 +78,9 @@ def contact_ranges(design: Design, touch: ContactsSection) -> ContactRanges:
     for name, unit, (low, high) in (("force", "N", force), ("radius", "mm", radius)):
         if low > high:
             raise DesignError(
+                "press-range-reversed",
                 f"touch.{name}_min_{unit} = {low:g} exceeds touch.{name}_max_{unit} = {high:g} "
-                "(one of them is the design's training table's); give both"
+                "(one of them is the design's training table's); give both",
             )
     return ContactRanges(
         force_N=force, radius_mm=radius, multi_share=pick(touch.multi_share, own.multi_contact)
@@ -251,9 +252,10 @@ class _Draw:
         if got < min(wanted, 2):
             what = "a contact" if got == 0 else "two contacts apart from each other"
             raise DesignError(
+                "presses-no-room",
                 f"sample {number}: no room for {what} in the touched part after {SETTINGS.tries} "
                 "tries; widen touch.along and touch.around, lower touch.radius_max_mm, or set "
-                "touch.multi_share = 0"
+                "touch.multi_share = 0",
             )
 
     def candidates(self, sample: IntArray, receptor: IntArray, draw: FloatArray) -> Touches:

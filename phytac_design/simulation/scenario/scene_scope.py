@@ -110,8 +110,9 @@ class Scope:
         uv = press_places(surface, markers, gap_px, wanted, repeats=repeats, inside=self.holds)
         if len(uv) == 0:
             raise DesignError(
+                "scene-without-receptors",
                 "the scene's regions hold no receptor and no middle between two; widen along and "
-                "around"
+                "around",
             )
         return uv
 
@@ -142,8 +143,9 @@ def windows_of(
         if size[1] < 0.0:
             if not surface.periodic[1]:
                 raise DesignError(
+                    "range-over-open-seam",
                     f"regions.{number}.around runs over a seam, but the {surface.name} is open "
-                    f"there (got {list(region.around)}); let it grow"
+                    f"there (got {list(region.around)}); let it grow",
                 )
             size[1] += 1.0
         low = start + np.array([region.along[0], region.around[0]]) * span

@@ -41,9 +41,10 @@ class Relaxation:
         good &= float(self.share.sum()) < 1.0 and len(set(self.time_s)) == len(self.share)
         if not good:
             raise NumericalError(
+                "prony-series-invalid",
                 "a Prony series needs shares above 0 that sum to less than 1, and times above 0 "
                 f"that all differ (got {list(self.share)} and {list(self.time_s)}); correct "
-                "time.relax_share and time.relax_s"
+                "time.relax_share and time.relax_s",
             )
 
     def modulus(self, t_s: FloatArray) -> FloatArray:
@@ -122,8 +123,9 @@ def _pieces(times_s: FloatArray, tau_s: FloatArray) -> tuple[FloatArray, FloatAr
     if (step < 0.0).any():
         worst = int(np.argmin(step))
         raise NumericalError(
+            "force-history-order",
             f"times of a force history must grow (got {times_s[worst]:g} s before "
-            f"{times_s[worst + 1]:g} s); sort them"
+            f"{times_s[worst + 1]:g} s); sort them",
         )
     x = step / tau_s[:, None]
     mean = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)

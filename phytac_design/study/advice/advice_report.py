@@ -211,6 +211,6 @@ def _write(texts: dict[str, str], folder: Path) -> Path:
             (folder / name).write_text(content, encoding="utf-8")
     except OSError as error:
         raise OutputError(
-            f"cannot write {folder}: {error.strerror}; choose another --out"
+            "output-not-writable", f"cannot write {folder}: {error.strerror}; choose another --out"
         ) from None
     return folder

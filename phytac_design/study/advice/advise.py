@@ -91,7 +91,7 @@ def advise(
         check_design(design)
     except DesignError as error:
         tester = ChangeTester(design, FAULTLESS, accuracy, seed, progress)
-        return _repair_rejected(design, str(error), only, tester, checks)
+        return _repair_rejected(design, error, only, tester, checks)
     progress("evaluating the design as it is")
     base = evaluate_design(design, accuracy, seed=seed)
     variables = choose(variables_of(design, base.markers, base.stand_off_mm), list(only))
@@ -175,7 +175,7 @@ class ChangeTester:
 
 def _repair_rejected(
     design: Design,
-    rule: str,
+    rule: DesignError,
     only: Sequence[str],
     tester: ChangeTester,
     checks: int,
@@ -185,7 +185,7 @@ def _repair_rejected(
     try:
         markers = make_markers(design, surface)
     except DesignError:
-        raise DesignError(rule) from None
+        raise rule from None
     stand_off: float | None
     try:
         stand_off = stand_off_mm(design, surface, cameras_of(design, surface)[0])
@@ -196,7 +196,7 @@ def _repair_rejected(
     tested = tester.test_all(rule_repairs(design, variables), checks)
     return Advice(
         design=design,
-        refused=rule,
+        refused=str(rule),
         pieces=[one for one in tested if not one.reason],
         tried=[one for one in tested if one.reason],
     )

@@ -234,8 +234,9 @@ def _bound(context: Context, folder: Path) -> None:
         RESOLUTION.run(context, folder)
     except np.linalg.LinAlgError:
         raise NumericalError(
+            "contact-unobservable",
             f"{context.design.name}: some contact moves no marker that a camera sees, so that "
-            "its force has no bound; see `phytac check` for what hides the markers"
+            "its force has no bound; see `phytac check` for what hides the markers",
         ) from None
 
 

@@ -108,7 +108,8 @@ def choose(variables: list[DesignVariable], only: list[str]) -> list[DesignVaria
         if name not in known | {"rows"} and not is_row(name):
             listed = ", ".join(one.name for one in variables)
             raise DesignError(
-                f"--only {name!r}: no such variable (this design has {listed}, rows, rows.0)"
+                "variable-unknown",
+                f"--only {name!r}: no such variable (this design has {listed}, rows, rows.0)",
             )
     if not only:
         return variables

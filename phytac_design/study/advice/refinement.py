@@ -82,8 +82,9 @@ def refine(
     start = here = evaluate_design(design, accuracy, seed=seed)
     if here.faults:
         raise DesignError(
+            "design-not-repaired",
             f"{design.name} has {here.faults} markers that are hidden, fused or disturbed; repair "
-            "them before --polish: run `phytac advise` without --polish"
+            "them before --polish: run `phytac advise` without --polish",
         )
     steps: list[Step] = []
     why = f"{rounds} rounds are over"

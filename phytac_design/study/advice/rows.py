@@ -92,7 +92,8 @@ def row_variables(
             u = markers.uv[:, 0] + np.where(own, amount * u_per_mm, 0.0)
             if np.any(np.diff(u) < 0.0):
                 raise DesignError(
-                    f"{name} would pass its neighbours (moved by {amount:g} mm); move it less"
+                    "row-passes-neighbour",
+                    f"{name} would pass its neighbours (moved by {amount:g} mm); move it less",
                 )
             uv = np.column_stack([u, markers.uv[:, 1]])
             return _listed(design, markers, uv, markers.height_mm)
@@ -133,7 +134,9 @@ def named_rows(only: Iterable[str], row: IntArray) -> set[int]:
     found = {int(name.removeprefix("rows.")) for name in only if is_row(name)}
     last = int(row.max())
     if found and max(found) > last:
-        raise DesignError(f"--only rows.{max(found)}: this design has rows 0 to {last}")
+        raise DesignError(
+            "row-out-of-range", f"--only rows.{max(found)}: this design has rows 0 to {last}"
+        )
     return found
 
 

@@ -139,7 +139,8 @@ def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
         in_play = scope.in_play(markers)
         if not in_play.any():
             raise DesignError(
-                f"the regions of the scene {scene.name!r} hold no receptor; widen along and around"
+                "scene-without-receptors",
+                f"the regions of the scene {scene.name!r} hold no receptor; widen along and around",
             )
     stages = _stages(scene)
     names = {stage.name for stage in stages}
@@ -167,8 +168,9 @@ def _with_camera(design: Design, scene: Scene, why: dict[str, str]) -> Design:
         return design
     if ends != "both":
         raise DesignError(
+            "scene-camera-missing",
             f"the scene {scene.name!r} looks through the {scene.camera} camera, and the design "
-            f'{design.name!r} has one at the {ends} end only; set camera = "{ends}" in the scene'
+            f'{design.name!r} has one at the {ends} end only; set camera = "{ends}" in the scene',
         )
     why["camera"] = f"only the {scene.camera} camera of two"
     camera = design.camera.model_copy(update={"ends": scene.camera})
@@ -192,15 +194,17 @@ def _with_contacts(design: Design, scene: Scene) -> Design:
         data["multi_contact"] = 0.0
     if not data["force_min_N"] < data["force_max_N"]:
         raise DesignError(
+            "scene-range-empty",
             f"the scene {scene.name!r} leaves forces from {data['force_min_N']:g} to "
             f"{data['force_max_N']:g} N (the design has {old.force_min_N:g} to "
-            f"{old.force_max_N:g} N); give contacts.force_min_N and contacts.force_max_N together"
+            f"{old.force_max_N:g} N); give contacts.force_min_N and contacts.force_max_N together",
         )
     if data["patch_radius_min_mm"] > data["patch_radius_max_mm"]:
         raise DesignError(
+            "scene-range-empty",
             f"the scene {scene.name!r} leaves patches from {data['patch_radius_min_mm']:g} to "
             f"{data['patch_radius_max_mm']:g} mm; give contacts.radius_min_mm and "
-            "contacts.radius_max_mm together"
+            "contacts.radius_max_mm together",
         )
     return design.model_copy(update={"training": type(old).model_validate(data)})
 

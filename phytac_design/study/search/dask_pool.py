@@ -33,8 +33,9 @@ def _libraries() -> tuple[Any, Any]:
         import distributed
     except ImportError:
         raise MissingPartError(
+            "missing-library",
             "--workers and --scheduler need dask; install it with: pip install "
-            "'phytac-design[study]'"
+            "'phytac-design[study]'",
         ) from None
     return dask, distributed
 
@@ -106,7 +107,8 @@ class DaskPool(SerialPool):
             )
         except (RuntimeError, OSError, TimeoutError) as error:
             raise InputError(
-                f"{workers} workers could not be started ({error}); use fewer, or none"
+                "workers-not-started",
+                f"{workers} workers could not be started ({error}); use fewer, or none",
             ) from None
 
     def _connect(self) -> Any:
@@ -115,8 +117,9 @@ class DaskPool(SerialPool):
         except (OSError, TimeoutError, ValueError) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(
+                "scheduler-unreachable",
                 f"no scheduler at {self.address} ({reason}); start one with `dask scheduler`, or "
-                "use --workers. Completed candidates are kept"
+                "use --workers. Completed candidates are kept",
             ) from None
 
     def _check_workers(self, timeout_s: float) -> None:
@@ -125,16 +128,18 @@ class DaskPool(SerialPool):
             self.client.wait_for_workers(1, timeout=timeout_s)
         except (TimeoutError, OSError):
             raise InputError(
+                "scheduler-without-workers",
                 f"the scheduler at {self.address} has no worker; start some with `dask worker "
-                f"{self.address} --nthreads 1`"
+                f"{self.address} --nthreads 1`",
             ) from None
         mine = code_hash()
         for worker, theirs in self.client.run(code_hash, on_error="return").items():
             if theirs != mine:
                 why = theirs if isinstance(theirs, Exception) else "another version"
                 raise InputError(
+                    "worker-version-differs",
                     f"the worker {worker} does not run this program ({why}); install the same "
-                    "version there"
+                    "version there",
                 )
 
     @property
@@ -180,8 +185,9 @@ class DaskPool(SerialPool):
                     yield chunk[0], Outcome(status=FAILED, reason=reason, violation=1e3)
         except (OSError, CancelledError, self.library.comm.core.CommClosedError, StopIteration):
             raise InputError(
+                "scheduler-lost",
                 f"the scheduler at {self.address} is lost; start it again, and run the same "
-                "command: completed candidates are kept"
+                "command: completed candidates are kept",
             ) from None
 
     def close(self) -> None:

@@ -142,13 +142,16 @@ def _parent(design: Design, field: str, what: str) -> tuple[Any, str | int]:
         elif isinstance(at, tuple | list):
             known = [str(number) for number in range(len(at))]
         else:
-            raise DesignError(f"{what} {field!r}: {'.'.join(walked)} has no parts; stop there")
+            raise DesignError(
+                "field-unknown", f"{what} {field!r}: {'.'.join(walked)} has no parts; stop there"
+            )
         if str(part) not in known:
             near = get_close_matches(str(part), known, n=1)
             nearest = ".".join([*walked, *near])
             hint = f"; did you mean {nearest!r}?" if near else f" (known: {', '.join(known)})"
             raise DesignError(
-                f"{what}: the design has no field {'.'.join([*walked, str(part)])!r}{hint}"
+                "field-unknown",
+                f"{what}: the design has no field {'.'.join([*walked, str(part)])!r}{hint}",
             )
         if len(walked) < len(path):
             at = at[part] if isinstance(part, int) else getattr(at, part)
@@ -169,8 +172,9 @@ def _axis(design: Design, variable: Variable, study: str) -> Axis:
         fractions = [n for n in (*ends, variable.step or 1.0) if not float(n).is_integer()]
         if axis.integer and fractions:
             raise DesignError(
+                "variable-not-whole",
                 f"{study}: variable {axis.field} is a whole number (got {fractions[0]:g}); use "
-                "whole numbers for low, high and step"
+                "whole numbers for low, high and step",
             )
         ends = tuple(axis.typed(end) for end in ends)
     for value in ends if isinstance(table, BaseModel) else ():
@@ -180,7 +184,8 @@ def _axis(design: Design, variable: Variable, study: str) -> Axis:
             own = [item["msg"] for item in error.errors() if item["loc"][:1] == (name,)]
             if own:
                 raise DesignError(
+                    "variable-value-invalid",
                     f"{study}: variable {axis.field} cannot be {value!r}: "
-                    f"{own[0][0].lower()}{own[0][1:]}"
+                    f"{own[0][0].lower()}{own[0][1:]}",
                 ) from None
     return axis

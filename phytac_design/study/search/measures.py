@@ -133,7 +133,8 @@ def measure_of(name: str, what: str) -> Measure:
     near = get_close_matches(name, MEASURES, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     raise DesignError(
-        f"{what}: no fidelity level measures {name!r}{hint} (`phytac sweep --measures` lists all)"
+        "measure-unknown",
+        f"{what}: no fidelity level measures {name!r}{hint} (`phytac sweep --measures` lists all)",
     )
 
 

@@ -43,8 +43,9 @@ class Sweep:
             size = int(np.prod([len(axis.grid()) for axis in space.axes], dtype=object))
             if size > self.total:
                 raise DesignError(
+                    "grid-exceeds-budget",
                     f"{study.name}: the grid has {size} points, the budget is {self.total} "
-                    "candidates; raise budget.candidates, lower points, or use sobol"
+                    "candidates; raise budget.candidates, lower points, or use sobol",
                 )
             self.total = size
 
@@ -82,7 +83,8 @@ def optuna_library() -> Any:
         import optuna
     except ImportError:
         raise MissingPartError(
-            "`phytac optimise` needs optuna; install it with: pip install 'phytac-design[study]'"
+            "missing-library",
+            "`phytac optimise` needs optuna; install it with: pip install 'phytac-design[study]'",
         ) from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
@@ -94,7 +96,8 @@ class Search:
     def __init__(self, study: Study, space: DesignSpace, storage: str) -> None:
         if not study.objective:
             raise DesignError(
-                f"{study.name}: no objective to optimise; add [[objective]], or use `phytac sweep`"
+                "objective-missing",
+                f"{study.name}: no objective to optimise; add [[objective]], or use `phytac sweep`",
             )
         self.optuna = optuna_library()
         self.study, self.space = study, space
@@ -126,8 +129,9 @@ class Search:
         except Exception as error:  # noqa: BLE001 - whatever a database's own driver raises
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise OutputError(
+                "optuna-storage-failed",
                 f"Optuna's storage {storage} cannot be opened ({reason}); give --storage another "
-                "database URL, or leave it out for a file in the study's folder"
+                "database URL, or leave it out for a file in the study's folder",
             ) from None
 
     def _distribution(self, axis: Axis) -> Any:
@@ -198,8 +202,9 @@ class Search:
                 self.stored.add_trial(done)
             except Exception as error:  # noqa: BLE001 - as above
                 raise OutputError(
+                    "optuna-storage-failed",
                     f"Optuna's storage cannot be written ({error}); free disk space, and run the "
-                    "same command again: all results are kept"
+                    "same command again: all results are kept",
                 ) from None
         self.trials = []
 

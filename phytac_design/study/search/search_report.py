@@ -221,7 +221,9 @@ def write_page(folder: Path) -> Path:
             json.dumps(figures, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
         )
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}; free disk space") from None
+        raise OutputError(
+            "output-not-writable", f"cannot write {path}: {error.strerror}; free disk space"
+        ) from None
     return path
 
 

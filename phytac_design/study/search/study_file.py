@@ -214,9 +214,14 @@ def _check_measures(study: Study, where: str) -> None:
     fields = [variable.field for variable in study.variable]
     for field in fields:
         if fields.count(field) > 1:
-            raise DesignError(f"{where}: the variable {field} is there twice; keep one")
+            raise DesignError(
+                "variable-duplicate", f"{where}: the variable {field} is there twice; keep one"
+            )
         if field in study.fixed:
-            raise DesignError(f"{where}: {field} is both fixed and variable; keep one of them")
+            raise DesignError(
+                "variable-also-fixed",
+                f"{where}: {field} is both fixed and variable; keep one of them",
+            )
     ranges = {name: (measure.low, measure.high) for name, measure in MEASURES.items()}
     for constraint in study.constraint:
         name = measure_of(constraint.measure, f"{where}: constraint").name
@@ -225,15 +230,18 @@ def _check_measures(study: Study, where: str) -> None:
         high = min(high, float("inf") if constraint.max is None else constraint.max)
         if low > high:
             raise DesignError(
+                "constraints-contradict",
                 f"{where}: no design can meet the constraints on {name}: at least {low:g} and at "
-                f"most {high:g} contradict each other; loosen one"
+                f"most {high:g} contradict each other; loosen one",
             )
         ranges[name] = (low, high)
     seen = [objective.measure for objective in study.objective]
     for name in seen:
         measure_of(name, f"{where}: objective")
         if seen.count(name) > 1:
-            raise DesignError(f"{where}: the objective {name} is there twice; keep one")
+            raise DesignError(
+                "objective-duplicate", f"{where}: the objective {name} is there twice; keep one"
+            )
 
 
 def _check_levels(study: Study, where: str) -> None:
@@ -243,24 +251,36 @@ def _check_levels(study: Study, where: str) -> None:
             near = get_close_matches(level, LEVELS, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise DesignError(
-                f"{where}: no fidelity level {level!r}{hint} (levels: {', '.join(LEVELS)})"
+                "fidelity-level-unknown",
+                f"{where}: no fidelity level {level!r}{hint} (levels: {', '.join(LEVELS)})",
             )
     order = [LEVELS.index(level) for level in study.levels]
     if order != sorted(set(order)) or study.levels[0] != "rules":
         raise DesignError(
+            "fidelity-levels-order",
             f"{where}: ladder.rungs must begin with 'rules' and ascend (got "
-            f"{', '.join(study.levels)}; the order is {', '.join(LEVELS)})"
+            f"{', '.join(study.levels)}; the order is {', '.join(LEVELS)})",
         )
     if "exact" not in study.levels and {"mechanics", "load"} & set(study.levels):
-        raise DesignError(f"{where}: mechanics and load need the results of 'exact'; add it")
+        raise DesignError(
+            "fidelity-level-missing",
+            f"{where}: mechanics and load need the results of 'exact'; add it",
+        )
     for level, share in study.ladder.share.items():
         if not 0.0 < share <= 1.0:
-            raise DesignError(f"{where}: ladder.share.{level} must lie in (0, 1] (got {share:g})")
+            raise DesignError(
+                "fidelity-share-invalid",
+                f"{where}: ladder.share.{level} must lie in (0, 1] (got {share:g})",
+            )
         if level not in study.levels:
-            raise DesignError(f"{where}: ladder.share.{level}: the study does not use that level")
+            raise DesignError(
+                "fidelity-share-unused",
+                f"{where}: ladder.share.{level}: the study does not use that level",
+            )
     for name in study.measures():
         if name not in measures_up_to(study.levels):
             raise DesignError(
+                "measure-above-levels",
                 f"{where}: no level of ladder.rungs measures {name} ({', '.join(study.levels)}); "
-                f"add {MEASURES[name].rung!r}, or leave ladder.rungs out"
+                f"add {MEASURES[name].rung!r}, or leave ladder.rungs out",
             )

@@ -34,8 +34,9 @@ def _writing(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise OutputError(
+            "output-not-writable",
             f"cannot write {folder}: {error.strerror or error}; free disk space or choose another "
-            "--out. Completed candidates are kept: the same command resumes there"
+            "--out. Completed candidates are kept: the same command resumes there",
         ) from None
 
 
@@ -73,7 +74,8 @@ class Store:
         """Lock the folder and write ``study.json``, or reject the folder of another study."""
         if not locked(self._lock, fcntl.LOCK_EX):
             raise OutputError(
-                f"another process works in {self.folder}; wait for it, or choose another --out"
+                "output-locked",
+                f"another process works in {self.folder}; wait for it, or choose another --out",
             )
         path = self.folder / STUDY
         mine = {"kind": kind, "identity": self.study.identity(), **json.loads(self.spec)}
@@ -84,9 +86,10 @@ class Store:
                 old = {}
             if any(old.get(key) != mine[key] for key in ("kind", "identity", "base")):
                 raise OutputError(
+                    "output-foreign",
                     f"{self.folder} holds another study ({old.get('kind', 'unknown')} "
                     f"{old.get('study', {}).get('name', '?')!r}); choose another --out, or remove "
-                    "it. Only [budget] may change when a study is resumed"
+                    "it. Only [budget] may change when a study is resumed",
                 )
         partial = path.with_name(f".{STUDY}.part")
         with _writing(self.folder):
@@ -185,7 +188,7 @@ def result_files(folder: Path) -> list[Path]:
 def _table(folder: Path, columns: Sequence[str] | None = None) -> Any:
     arrow, files = parquet_library(), result_files(folder)
     if not files:
-        raise InputError(f"{folder} has no results yet; resume the study")
+        raise InputError("study-without-results", f"{folder} has no results yet; resume the study")
     return arrow.concat_tables(arrow.parquet.read_table(path, columns=columns) for path in files)
 
 
@@ -202,8 +205,9 @@ def read_study(folder: Path) -> tuple[Study, dict[str, Any], str]:
         return Study.model_validate(data["study"]), data["base"], data["kind"]
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
+            "study-not-found",
             f"{folder} holds no study ({cause_of(error)}); give the folder that `phytac sweep` or "
-            "`phytac optimise` wrote"
+            "`phytac optimise` wrote",
         ) from None
 
 
@@ -247,14 +251,17 @@ def rebuild(folder: Path, trial: int) -> Design:
     table = _table(folder, ["trial", *fields, "design"])
     rows = table.filter(parquet_library().compute.field("trial") == trial).to_pylist()
     if not rows:
-        raise InputError(f"{folder} has no trial {trial}; it has {len(table)}, counted from 0")
+        raise InputError(
+            "trial-unknown", f"{folder} has no trial {trial}; it has {len(table)}, counted from 0"
+        )
     space = make_space(study, Path(), parse_design(base, f"base of {study.name}"))
     design, expected = space.design({field: rows[0][field] for field in fields}), rows[0]["design"]
     if expected and design_hash(design) != expected:
         raise DesignError(
+            "trial-of-other-version",
             f"trial {trial} of {folder} is another design in this version of the program (hash "
             f"{design_hash(design)[:12]}, was {expected[:12]}); build it with the version of its "
-            "row"
+            "row",
         )
     # The name is not part of the hash.
     name = f"{study.name}-{trial}"[-64:].lstrip("_.-")

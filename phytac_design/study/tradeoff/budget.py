@@ -103,7 +103,7 @@ def choose_budget(
         If even the cheapest is predicted to take longer.
     """
     if not 0.0 < budget_s < float("inf"):
-        raise DesignError(f"the budget must be above 0 s (got {budget_s:g} s)")
+        raise DesignError("budget-invalid", f"the budget must be above 0 s (got {budget_s:g} s)")
     plan = BudgetPlan(
         work=Workload(design),
         budget_s=budget_s,
@@ -121,9 +121,10 @@ def choose_budget(
         costly = sorted(parts, key=parts.__getitem__)[-3:][::-1]
         listed = ", ".join(f"{name} {parts[name]:.1f} s" for name in costly)
         raise DesignError(
+            "budget-not-reachable",
             f"no setting of this design is built in {budget_s:g} s: the cheapest is predicted to "
             f"take {total[cheapest]:.0f} s here ({listed}); allow that, or build some stages "
-            "with --only"
+            "with --only",
         )
     chosen = fitting[-1] if fitting else cheapest
     plan.setting = LEVELS[chosen]

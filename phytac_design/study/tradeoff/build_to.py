@@ -56,7 +56,7 @@ def build_to(
         If the design cannot be built, or no setting is within the tolerance or budget.
     """
     if (tolerance is None) == (budget_s is None):
-        raise DesignError("give a tolerance or a budget, and not both")
+        raise DesignError("options-exclusive", "give a tolerance or a budget, and not both")
     check_design(design)
     if budget_s is not None:
         return _within_time(design, out, budget_s, seed=seed, force=force, progress=progress)
@@ -112,7 +112,9 @@ def write_audit(out: Path, choice: Choice, wall_s: float, **more: Any) -> None:
         text = json.dumps(finite(choice.as_dict() | {"wall_s": wall_s} | more), indent=1)
         path.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}; choose another --out") from None
+        raise OutputError(
+            "output-not-writable", f"cannot write {path}: {error.strerror}; choose another --out"
+        ) from None
 
 
 def audit_lines(choice: Choice, wall_s: float) -> list[str]:
@@ -139,7 +141,10 @@ def read_tolerance(text: str) -> float:
     plain = text.strip()
     value = _number(plain.removesuffix("%")) / (100.0 if plain.endswith("%") else 1.0)
     if not 0.0 < value <= 1.0:
-        raise DesignError(f"a tolerance is above 0 and at most 100 %: 2% or 0.02 (got {text!r})")
+        raise DesignError(
+            "tolerance-invalid",
+            f"a tolerance is above 0 and at most 100 %: 2% or 0.02 (got {text!r})",
+        )
     return value
 
 
@@ -154,7 +159,9 @@ def read_seconds(text: str) -> float:
     plain = text.strip().removesuffix("s")
     value = _number(plain.removesuffix("min")) * (60.0 if plain.endswith("min") else 1.0)
     if not 0.0 < value < float("inf"):
-        raise DesignError(f"a budget is a time above zero: 60s or 2min (got {text!r})")
+        raise DesignError(
+            "budget-invalid", f"a budget is a time above zero: 60s or 2min (got {text!r})"
+        )
     return value
 
 

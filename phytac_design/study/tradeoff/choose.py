@@ -93,7 +93,9 @@ def choose_tolerance(
         If no setting is within the tolerance; the message names the best one.
     """
     if not 0.0 < tolerance <= 1.0:
-        raise DesignError(f"the tolerance must be above 0 and at most 1 (got {tolerance:g})")
+        raise DesignError(
+            "tolerance-invalid", f"the tolerance must be above 0 and at most 1 (got {tolerance:g})"
+        )
     pilot, candidates = pilot_of(of, error or ForceError(design))
     work, factor = Workload(design), machine_factor()
     cost = [
@@ -119,9 +121,10 @@ def choose_tolerance(
             )
     best, k = min(found)
     raise DesignError(
+        "tolerance-not-reachable",
         f"no setting has a predicted {of} error within {100.0 * tolerance:g} % on this design; the "
         f"best is {100.0 * best:.2g} %, with {difference_from_draft(candidates[k])}: allow at "
-        "least that"
+        "least that",
     )
 
 
@@ -148,7 +151,10 @@ def pilot_of(of: str, error: ForceError) -> tuple[Pilot, Sequence[Accuracy]]:
             replace(draft, refine=refine, press_tolerance=tolerance)
             for refine, tolerance in product(REFINES[:6], (1.0, 0.1, 0.05, 0.02))
         ]
-    raise DesignError(f"a tolerance of {of!r} is not known; choose force, visibility or volume")
+    raise DesignError(
+        "tolerance-kind-unknown",
+        f"a tolerance of {of!r} is not known; choose force, visibility or volume",
+    )
 
 
 def achieved(choice: Choice, error: ForceError) -> float:

@@ -124,8 +124,9 @@ class ForceError:
         solved = int(np.isfinite(motion).all(axis=(1, 2)).sum())
         if 2 * solved < len(motion):
             raise NumericalError(
+                "contacts-not-solved",
                 f"only {solved} of the {len(motion)} standard contacts can be solved with "
-                "large displacements; lower training.force_max_N or raise wall.thickness_mm"
+                "large displacements; lower training.force_max_N or raise wall.thickness_mm",
             )
         return ReferenceSolution(shift_px=shift, motion=motion)
 

@@ -150,7 +150,8 @@ class VisibilityPilot:
         gap = np.abs(own - self.reference(fine))
         if not np.isfinite(gap).any():
             raise NumericalError(
-                "no standard contact could be solved and seen; run `phytac check` on the design"
+                "contacts-not-solved",
+                "no standard contact could be solved and seen; run `phytac check` on the design",
             )
         return float(np.nanmax(gap))
 

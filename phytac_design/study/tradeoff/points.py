@@ -72,7 +72,8 @@ class Points:
             (folder / "points").mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(
-                f"cannot write {folder}: {error.strerror}; choose another --out"
+                "output-not-writable",
+                f"cannot write {folder}: {error.strerror}; choose another --out",
             ) from None
 
     def get(self, point: Point) -> dict[str, Any]:
@@ -111,8 +112,9 @@ def measure_apart(design: Design, point: Point, cache: Path) -> dict[str, Any]:
                 found = pool.submit(_in_child, work, *arguments).result()
     except Exception as error:
         raise NumericalError(
+            "point-not-measured",
             f"{point.kind} {point.name} {dict(point.settings)} of {design.name} could not be "
-            f"measured: {error}"
+            f"measured: {error}",
         ) from error
     return found
 

@@ -97,5 +97,7 @@ def setting_named(name: str) -> Setting:
     if name not in known:
         near = get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise DesignError(f"no setting {name!r}{hint}; choose one of {', '.join(known)}")
+        raise DesignError(
+            "setting-unknown", f"no setting {name!r}{hint}; choose one of {', '.join(known)}"
+        )
     return known[name]

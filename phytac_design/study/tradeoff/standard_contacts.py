@@ -72,9 +72,10 @@ def standard_contacts(design: Design, surface: Surface, count: int = 16) -> Stan
     kept = np.flatnonzero(away >= 2.0 * radius)[:count]
     if len(kept) == 0:
         raise DesignError(
+            "standard-contacts-no-room",
             f"no place on this sensor is {2.0 * radius:g} mm from its rims, so it has no standard "
             "contacts to measure a force error on; lower training.patch_radius_max_mm or make the "
-            "sensor larger"
+            "sensor larger",
         )
     low = max(training.force_min_N, 0.2 * training.force_max_N)
     force = low + (training.force_max_N - low) * numbers[: len(kept), 2]

@@ -92,8 +92,9 @@ def decode_contacts(
     touches, truth = samples.touches, samples.truth
     if shift is None or bits is None or read is None or touches is None or truth is None:
         raise InputError(
+            "samples-without-points",
             "decoding needs the markers' shifts, the switches and the truth of every sample; make "
-            "the data with --keep points"
+            "the data with --keep points",
         )
     usable = samples.status != FAILED
     evaluated = np.flatnonzero(usable)
@@ -118,8 +119,9 @@ def decode_contacts(
         if not np.isfinite(forces).all():
             bad = int(np.flatnonzero(~np.isfinite(forces).all(axis=1))[0])
             raise NumericalError(
+                "estimator-not-finite",
                 f"estimator {name} gives forces that are not numbers in sample {bad}; train "
-                "it again, or leave that sample out"
+                "it again, or leave that sample out",
             )
         decoded[name] = per_touch(forces[truth.sample, truth.marker])[keep]
         on_contacts = np.bincount(

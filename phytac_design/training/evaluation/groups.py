@@ -85,8 +85,9 @@ def groups_of(
     on, force = decoded.tripped, decoded.force_N
     if not on.any():
         raise InputError(
+            "no-switch-tripped",
             f"none of {len(on)} contacts tripped a switch: there is nothing to evaluate; press "
-            "harder, or on receptors"
+            "harder, or on receptors",
         )
     kind = kinds(sets, samples, decoded)
     first = np.cumsum([0] + [item.samples.count for item in sets])

@@ -35,7 +35,7 @@ def quick_rules(monkeypatch: pytest.MonkeyPatch) -> None:
     def rules(candidate: Candidate) -> dict[str, float]:
         layout, wall = candidate.design.layout, candidate.design.wall.thickness_mm
         if wall < 0.6:
-            raise DesignError("too thin")
+            raise DesignError("wall-too-thin", "too thin")
         found = {"marker_count": layout.rows * layout.columns, "mass_g": 20.0 * wall}
         return found | {"density_mean_per_cm2": found["marker_count"] / 113.1}
 
