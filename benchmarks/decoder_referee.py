@@ -68,7 +68,7 @@ def samples_of(context: Context, solved: list[Solved]) -> Samples:
     design = context.design
     rng = np.random.default_rng(SEED)
     sizes = [len(item.contact.uv) for item in solved]
-    contacts = Contacts(
+    contacts = Contacts.flat(
         sample=np.repeat(np.arange(len(solved)), sizes),
         uv=np.concatenate([item.contact.centres for item in solved]),
         radius_mm=np.concatenate([item.contact.radius_mm for item in solved]),

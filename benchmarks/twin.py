@@ -25,7 +25,6 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.linear_response import point_motions, turned_points
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
@@ -74,7 +73,7 @@ class TipComparison:
 def shell_loads(this: Sensor, mesh: ShellMesh, solved: list[Solved]) -> csc_matrix:
     """Load of each contact on a shell, (6N, m); nothing presses on holes, as on the solid."""
     patches = [len(item.contact.uv) for item in solved]
-    contacts = Contacts(
+    contacts = Contacts.flat(
         sample=np.repeat(np.arange(len(solved)), patches),
         uv=np.concatenate([item.contact.centres for item in solved]),
         radius_mm=np.concatenate([item.contact.radius_mm for item in solved]),
@@ -82,7 +81,7 @@ def shell_loads(this: Sensor, mesh: ShellMesh, solved: list[Solved]) -> csc_matr
         samples=len(solved),
     )
     holes = Holes.of(this.surface, this.markers.uv, this.design.receptor.diameter_hole_mm / 2.0)
-    unit = indentation_loads(mesh, this.surface, flat_touches(contacts), holes=holes)
+    unit = indentation_loads(mesh, this.surface, contacts, holes=holes)
     rows = np.arange(len(contacts.sample))
     share = csc_matrix((contacts.force_N, (rows, contacts.sample)))
     return csc_matrix(unit @ share)

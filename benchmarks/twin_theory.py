@@ -14,8 +14,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.simulation.contacts import draw_contacts
-from phytac_design.simulation.indenters import Touches, flat_touches
+from phytac_design.simulation.contacts import Contacts, draw_contacts
 from phytac_design.simulation.linear_response import point_motions, turned_points
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
@@ -37,7 +36,7 @@ class SolvedSamples:
     guarded: list[bool] = field(default_factory=list)
 
 
-def solve_all(sensor: Sensor, solver: Solver, touches: Touches) -> SolvedSamples:
+def solve_all(sensor: Sensor, solver: Solver, touches: Contacts) -> SolvedSamples:
     """Solve all samples; one that is not ``ok`` ends the benchmark."""
     out, arm = SolvedSamples(), sensor.markers.tip_mm - sensor.markers.mid_mm
     for k in range(touches.samples):
@@ -54,7 +53,7 @@ def solve_all(sensor: Sensor, solver: Solver, touches: Touches) -> SolvedSamples
     return out
 
 
-def newton_all(sensor: Sensor, solver: Solver, touches: Touches, count: int) -> SolvedSamples:
+def newton_all(sensor: Sensor, solver: Solver, touches: Contacts, count: int) -> SolvedSamples:
     """Solve the first samples by Newton's method, with a factor at every step."""
     out, arm = SolvedSamples(), sensor.markers.tip_mm - sensor.markers.mid_mm
     for k in range(count):
@@ -97,7 +96,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
     finest, refines, samples = (5, (3,), 6) if quick else (13, (5, 7, 9), 24)
     # Samples as on the paper's platform.
     rng = np.random.default_rng(3)
-    touches = flat_touches(draw_contacts(this, samples=samples, rng=rng, most=5))
+    touches = draw_contacts(this, samples=samples, rng=rng, most=5)
 
     def solver_of(refine: int) -> Solver:
         return Solver(this.design, this.surface, unit, refine=refine, displacement="large")

@@ -77,7 +77,7 @@ def test_any_design_is_checked(kind: str, seed: int) -> None:
 def one_press(context: Context, marker: int) -> FrameContacts:
     """One patch the size of a marker's cell, on the simulated sensor's own mesh."""
     design, surface, markers = context.design, context.surface, context.markers
-    contacts = Contacts(
+    contacts = Contacts.flat(
         sample=np.array([0]),
         uv=markers.uv[[marker]],
         radius_mm=np.array([cell_radius_mm(context)]),

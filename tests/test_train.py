@@ -16,7 +16,6 @@ from phytac_design.datasets.samples import Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_writer import write_samples
 from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.engine.stage import Context
-from phytac_design.stages import views_stage
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import assemble_bundle, untrained_model
 from phytac_design.training.join_datasets import join_samples, select_samples
@@ -46,13 +45,10 @@ BUNDLE = ("bundle.json", "bundle.safetensors")
 
 @pytest.fixture(scope="module")
 def context() -> Context:
-    """Views and response of the design; its pictures are not looked at here."""
-    blank = np.zeros((324, 432, 3), dtype=np.uint8)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(views_stage, "picture_or_frame", lambda *_: (blank, "none"))
-        stages = select_stages(MECHANICS)
-        options = {"accuracy": "draft", "seed": 0, "force": True, "progress": lambda _: None}
-        return run_stages(DESIGN, stages, **options)[0]
+    """Views and response of the design."""
+    stages = select_stages(MECHANICS)
+    options = {"accuracy": "draft", "seed": 0, "force": True, "progress": lambda _: None}
+    return run_stages(DESIGN, stages, **options)[0]
 
 
 def pressed(context: Context, count: int, seed: int, **options: float) -> Samples:

@@ -39,7 +39,7 @@ def main(folder: Path) -> None:
     markers = make_markers(design, surface)
     table = np.array(PRESSES)
     angle = np.radians(table[:, 2])
-    contacts = Contacts(
+    contacts = Contacts.flat(
         sample=table[:, 0].astype(np.int64) - 1,
         uv=np.column_stack([table[:, 1], angle]),
         radius_mm=table[:, 3],

@@ -96,7 +96,7 @@ def press_pictures(context: Context) -> PressPictures | None:
     camera = cameras_of(design, surface)[number]
     share = np.linspace(0.0, 1.0, STEPS)
     force = share * design.training.force_max_N
-    contacts = Contacts(
+    contacts = Contacts.flat(
         sample=np.arange(STEPS),
         uv=np.repeat(uv[None], STEPS, axis=0),
         radius_mm=np.full(STEPS, design.training.patch_radius_max_mm),

@@ -1,15 +1,17 @@
 """Drawing contacts: patches on the surface with a force, and which switches they trip."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from phytac_design.datasets.samples import TouchRows
 from phytac_design.layout import Markers
 from phytac_design.layout.arc import by_area
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.mechanics.indenter import Indentations
 from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -30,44 +32,68 @@ EMPTY_DRAWS_MAX = 50
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contacts:
+class Contacts(Indentations):
     """Contacts of many samples; arrays run over c contacts.
 
     Attributes
     ----------
     sample : (c,) int
         Sample each contact belongs to.
-    uv : (c, 2) float
-        Centre, chart coordinates.
-    radius_mm : (c,) float
-        Radius of the patch.
-    force_N : (c,) float
-        Inward normal force, spread evenly over the patch.
     samples : int
         Number of samples.
     """
 
     sample: IntArray
-    uv: FloatArray
-    radius_mm: FloatArray
-    force_N: FloatArray
     samples: int
+
+    @classmethod
+    def flat(
+        cls,
+        *,
+        sample: IntArray,
+        uv: FloatArray,
+        radius_mm: FloatArray,
+        force_N: FloatArray,
+        samples: int,
+    ) -> "Contacts":
+        """Contacts of even pressure without friction."""
+        count = len(force_N)
+        return cls(
+            sample=sample,
+            uv=uv,
+            radius_mm=radius_mm,
+            force_N=force_N,
+            samples=samples,
+            indenter=np.zeros(count, dtype=np.int64),
+            length_mm=np.zeros(count),
+            turn_rad=np.zeros(count),
+            friction=np.zeros((count, 2)),
+        )
 
     @property
     def counts(self) -> IntArray:
         """Contacts in each sample, (samples,)."""
         return np.bincount(self.sample, minlength=self.samples)
 
-    def of_sample(self, number: int) -> "Contacts":
+    def take(self, rows: IntArray) -> "Contacts":
+        """Contacts ``rows``, which keep the numbers of their samples."""
+        arrays = {name: array[rows] for name, array in vars(self).items() if name != "samples"}
+        return Contacts(**arrays, samples=self.samples)
+
+    def pick(self, rows: IntArray, samples: "list[int] | IntArray") -> "Contacts":
+        """Contacts ``rows`` of the given samples, numbered from 0 in that order."""
+        number = {int(sample): k for k, sample in enumerate(samples)}
+        sample = np.array([number[int(s)] for s in self.sample[rows]], dtype=np.int64)
+        return replace(self.take(rows), sample=sample, samples=len(number))
+
+    def of(self, sample: int) -> "Contacts":
         """Contacts of one sample, as the only one."""
-        own = np.flatnonzero(self.sample == number)
-        return Contacts(
-            sample=np.zeros(len(own), dtype=np.int64),
-            uv=self.uv[own],
-            radius_mm=self.radius_mm[own],
-            force_N=self.force_N[own],
-            samples=1,
-        )
+        return self.pick(np.flatnonzero(self.sample == sample), [sample])
+
+    def table(self, surface: Surface) -> TouchRows:
+        """The same as a part of a data set."""
+        rows = {name: array for name, array in vars(self).items() if name != "samples"}
+        return TouchRows(**rows, point_mm=surface.point(self.uv))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +161,7 @@ def draw_contacts(
                 force = rng.uniform(training.force_min_N, training.force_max_N)
                 rows.append((sample, float(uv[0]), float(uv[1]), radius, force))
     table = np.array(rows)
-    return Contacts(
+    return Contacts.flat(
         sample=table[:, 0].astype(np.int64),
         uv=table[:, 1:3],
         radius_mm=table[:, 3],

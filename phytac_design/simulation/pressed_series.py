@@ -14,7 +14,6 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.linear_response import point_motions, rigid_slope, turned_points
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_shapes import Surface
@@ -101,14 +100,12 @@ class DiscResponse:
             If linear theory fails.
         """
         count = len(uv)
-        touches = flat_touches(
-            Contacts(
-                sample=np.arange(count),
-                uv=uv,
-                radius_mm=np.full(count, radius_mm),
-                force_N=np.ones(count),
-                samples=count,
-            )
+        touches = Contacts.flat(
+            sample=np.arange(count),
+            uv=uv,
+            radius_mm=np.full(count, radius_mm),
+            force_N=np.ones(count),
+            samples=count,
         )
         loads = indentation_loads(self.mesh, self.surface, touches, holes=self.holes).toarray()
         return loads, self.model.solve(loads).motion.reshape(loads.shape)

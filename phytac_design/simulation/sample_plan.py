@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from phytac_design.simulation.contacts import Switching
-from phytac_design.simulation.indenters import Touches
+from phytac_design.simulation.contacts import Contacts, Switching
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -30,7 +29,7 @@ class SamplePlan:
 
     Attributes
     ----------
-    touches : Touches
+    touches : Contacts
         Contacts with the force that a gauge behind the indenter reads.
     felt_N : (c,) float
         Force of the elastic shell that moves as this one does: ``touches.force_N`` with the
@@ -48,7 +47,7 @@ class SamplePlan:
         Where contacts lie.
     """
 
-    touches: Touches
+    touches: Contacts
     felt_N: FloatArray
     time_s: FloatArray
     sequence: IntArray

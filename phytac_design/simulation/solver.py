@@ -8,7 +8,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
-from phytac_design.simulation.indenters import Touches
+from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.instance_shell import instance_shell
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.sample_plan import ChartBox
@@ -108,12 +108,12 @@ class Solver:
         self._shell = QuasiNewtonSolver(self.model)
         self.deepest_mm = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1]) / 2.0
 
-    def solve(self, touches: Touches, felt_N: FloatArray) -> SampleMotion:
+    def solve(self, touches: Contacts, felt_N: FloatArray) -> SampleMotion:
         """Motion under the touches of one sample, whatever becomes of it; never an exception.
 
         Parameters
         ----------
-        touches : Touches
+        touches : Contacts
             Contacts of the sample; their ``force_N`` is not used.
         felt_N : (c,) float
             Force that each presses with.
@@ -158,7 +158,7 @@ class Solver:
             guarded=found.guarded,
         )
 
-    def load(self, touches: Touches, felt_N: FloatArray) -> FloatArray:
+    def load(self, touches: Contacts, felt_N: FloatArray) -> FloatArray:
         """Nodal load (6N,) of one sample; nothing presses on the receptors' holes."""
         unit = indentation_loads(self.mesh, self.surface, touches, holes=self._holes)
         return np.asarray(unit @ felt_N).ravel()

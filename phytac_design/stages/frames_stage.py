@@ -22,7 +22,6 @@ from phytac_design.optics.render_scene import build_scene
 from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
 from phytac_design.simulation.force_errors import score_contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
-from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.linear_response import motion_responses, superpose
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.scenario.scene_scope import scope_of
@@ -82,7 +81,7 @@ def draw_frame_contacts(context: Context) -> FrameContacts:
     pressed = FrameContacts(contacts=contacts, switching=switching, motion=motion)
     if context.accuracy.place_orders == 1:
         return pressed
-    example = contacts.of_sample(pressed.example)
+    example = contacts.of(pressed.example)
     return replace(pressed, shown=_large(context, mesh, model, example))
 
 
@@ -92,7 +91,7 @@ def _large(
     """Motion (n, 6) under the contacts of one sample by large displacements; None without one."""
     receptor, surface, uv = context.design.receptor, context.surface, context.markers.uv
     holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
-    unit = indentation_loads(mesh, surface, flat_touches(contacts), holes=holes)
+    unit = indentation_loads(mesh, surface, contacts, holes=holes)
     motion = (
         QuasiNewtonSolver(model).solve(np.asarray(unit @ contacts.force_N).ravel()).sample.motion
     )

@@ -18,8 +18,8 @@ from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
+from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES, encode_png
-from phytac_design.simulation.indenters import Touches
 from phytac_design.simulation.rig_import.rig_contacts import contacts_of, sequences_of
 from phytac_design.simulation.rig_import.rig_frames import (
     FrameFolder,
@@ -271,7 +271,7 @@ def _times(
 def _kept(
     rig: RigSetup,
     log: RigLog,
-    touches: Touches,
+    touches: Contacts,
     seen: Mapping[int, FrameMeasurement],
     times: FloatArray,
     notes: dict[str, Any],

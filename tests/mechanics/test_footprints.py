@@ -16,7 +16,7 @@ from phytac_design.mechanics.shell.footprints import (
 )
 from phytac_design.mechanics.shell.pressure import ContactFrames, contact_frames, tangent_frame
 from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share, on_shell_share
-from phytac_design.simulation.indenters import Touches
+from phytac_design.simulation.contacts import Contacts
 from phytac_shapes import Plane, Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
@@ -116,7 +116,7 @@ def pressure(frames: ContactFrames, points: FloatArray) -> FloatArray:
     return across * (np.abs(x * scale) < frames.length_mm[0] / 2.0)
 
 
-def summed(surface: Surface, touches: Touches, marker: FloatArray, foot: float) -> FloatArray:
+def summed(surface: Surface, touches: Contacts, marker: FloatArray, foot: float) -> FloatArray:
     """Shares of the first touch on footprints, by a sum over the part of the surface under it."""
     low, high = surface.domain.T
     if surface.periodic[1]:

@@ -1,8 +1,8 @@
-"""Touches of one kind, made from few numbers."""
+"""Contacts of one kind, made from few numbers."""
 
 import numpy as np
 
-from phytac_design.simulation.indenters import Touches
+from phytac_design.simulation.contacts import Contacts
 from phytac_shapes.arrays import FloatArray
 
 
@@ -14,7 +14,7 @@ def make_touches(
     length_mm: FloatArray | float = 0.0,
     turn_rad: FloatArray | float = 0.0,
     friction: FloatArray | tuple[float, float] = (0.0, 0.0),
-) -> Touches:
+) -> Contacts:
     """One sample of touches at ``uv`` (c, 2), each of 1 N."""
     uv = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
     count = len(uv)
@@ -22,7 +22,7 @@ def make_touches(
     def each(value: FloatArray | float) -> FloatArray:
         return np.broadcast_to(np.asarray(value, dtype=np.float64), count).copy()
 
-    return Touches(
+    return Contacts(
         sample=np.zeros(count, dtype=np.int64),
         uv=uv,
         radius_mm=each(radius_mm),

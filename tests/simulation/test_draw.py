@@ -10,9 +10,9 @@ from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
+from phytac_design.mechanics.indenter import INDENTERS
 from phytac_design.mechanics.shell.footprints import footprint_shares
-from phytac_design.simulation.contacts import JITTER_MM, assign_forces, switch_states
-from phytac_design.simulation.indenters import INDENTERS, Touches
+from phytac_design.simulation.contacts import JITTER_MM, Contacts, assign_forces, switch_states
 from phytac_design.simulation.sample_plan import ChartBox, SamplePlan
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
@@ -59,7 +59,7 @@ def plan(own: Scenario, of: Drawn | None = None, seed: int = 5) -> SamplePlan:
     return draw_plan(design, surface, unit, own, seed=seed)
 
 
-def columns(touches: Touches) -> dict[str, Any]:
+def columns(touches: Contacts) -> dict[str, Any]:
     return {name: array for name, array in vars(touches).items() if name != "samples"}
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.simulation.indenters import INDENTERS
+from phytac_design.mechanics.indenter import INDENTERS
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection

@@ -15,7 +15,6 @@ from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.interaction_tables import InteractionSolver, image_curvature
 from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
@@ -73,14 +72,12 @@ def solver() -> Solver:
 def true_shifts(uv: FloatArray, radius_mm: float, force_N: float) -> FloatArray:
     """Shifts (2n,) px of discs at places (c, 2) at once, each of that force."""
     count = len(uv)
-    touch = flat_touches(
-        Contacts(
-            sample=np.zeros(count, dtype=np.int64),
-            uv=uv,
-            radius_mm=np.full(count, radius_mm),
-            force_N=np.full(count, force_N),
-            samples=1,
-        )
+    touch = Contacts.flat(
+        sample=np.zeros(count, dtype=np.int64),
+        uv=uv,
+        radius_mm=np.full(count, radius_mm),
+        force_N=np.full(count, force_N),
+        samples=1,
     )
     motion = solver().solve(touch, np.full(count, force_N)).motion
     assert motion is not None

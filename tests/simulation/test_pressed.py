@@ -13,7 +13,6 @@ from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.pressure import indentation_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE, DiscResponse, ImageResponse
 from phytac_shapes.arrays import FloatArray
@@ -53,14 +52,12 @@ def newton_motion(load: FloatArray) -> FloatArray:
 
 def one_newton() -> FloatArray:
     shell = pressed(1)
-    touch = flat_touches(
-        Contacts(
-            sample=np.zeros(1, dtype=np.int64),
-            uv=MIDDLE,
-            radius_mm=np.array([RADIUS_mm]),
-            force_N=np.ones(1),
-            samples=1,
-        )
+    touch = Contacts.flat(
+        sample=np.zeros(1, dtype=np.int64),
+        uv=MIDDLE,
+        radius_mm=np.array([RADIUS_mm]),
+        force_N=np.ones(1),
+        samples=1,
     )
     return np.asarray(
         indentation_loads(shell.mesh, SURFACE, touch, holes=shell.holes).toarray()[:, 0]

@@ -22,7 +22,6 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.rig_import.rig_samples import REASONS
-from phytac_design.stages import views_stage
 from phytac_design.stages.build import build
 from phytac_design.training import levenberg_marquardt
 from phytac_design.training.levenberg_marquardt import TrainedNetwork
@@ -47,7 +46,6 @@ Import = Callable[..., ImportResult]
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example's decoder, without what takes long and is not used here: pictures, training."""
     out = tmp_path_factory.mktemp("rig") / "rig"
-    blank = np.zeros((480, 640, 3), dtype=np.uint8)
     nothing = TrainedNetwork(
         network=CascadeNetwork(
             parameters=np.zeros(parameter_count()),
@@ -61,7 +59,6 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
         rmse_validation_N=0.0,
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(views_stage, "picture_or_frame", lambda *_: (blank, "none"))
         patch.setattr(levenberg_marquardt, "train_network", lambda *_, **__: nothing)
         build(DESIGN, out, accuracy="draft", only=["decoder"], progress=lambda _: None)
     return out / "decoder"
@@ -141,7 +138,7 @@ def check_truth(samples: Samples) -> None:
     assert truth is not None
     twin = switch_states(
         Sensor.of(DESIGN, surface, markers),
-        Contacts(
+        Contacts.flat(
             sample=touches.sample,
             uv=touches.uv,
             radius_mm=touches.radius_mm,

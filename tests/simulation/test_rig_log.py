@@ -9,7 +9,8 @@ from phytac_design.design.design_file import load_design
 from phytac_design.fabrication.calibration_rig.log_template import log_head
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.simulation.indenters import INDENTERS, Touches
+from phytac_design.mechanics.indenter import INDENTERS
+from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.rig_import.rig_contacts import contacts_of, sequences_of
 from phytac_design.simulation.rig_import.rig_frames import (
     FrameFolder,
@@ -34,7 +35,7 @@ def read(folder: Path, *lines: str) -> tuple[RigLog, RowProblems]:
     return read_rig_log(path, problems), problems
 
 
-def touched(folder: Path, *lines: str, off_mm: float = 2.0) -> tuple[Touches, RowProblems]:
+def touched(folder: Path, *lines: str, off_mm: float = 2.0) -> tuple[Contacts, RowProblems]:
     log, problems = read(folder, *lines)
     touches = contacts_of(
         log, Sensor.of(DESIGN, SURFACE, MARKERS), off_mm=off_mm, radius_mm=4.0, problems=problems

@@ -16,7 +16,6 @@ from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
 from phytac_design.simulation import solver as solver_module
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.indenters import Touches, flat_touches
 from phytac_design.simulation.instance_shell import (
     instance_model,
     instance_shell,
@@ -51,17 +50,15 @@ def unit_of(design: Design, number: int = 0, **changes: Any) -> SensorInstance:
     )
 
 
-def touching(*rows: tuple[float, float, float, float]) -> Touches:
-    """Touches (u, v, radius, force) of one sample."""
+def touching(*rows: tuple[float, float, float, float]) -> Contacts:
+    """Contacts (u, v, radius, force) of one sample."""
     table = np.array(rows, dtype=float).reshape(-1, 4)
-    return flat_touches(
-        Contacts(
-            sample=np.zeros(len(table), dtype=np.int64),
-            uv=table[:, :2],
-            radius_mm=table[:, 2],
-            force_N=table[:, 3],
-            samples=1,
-        )
+    return Contacts.flat(
+        sample=np.zeros(len(table), dtype=np.int64),
+        uv=table[:, :2],
+        radius_mm=table[:, 2],
+        force_N=table[:, 3],
+        samples=1,
     )
 
 

@@ -32,7 +32,7 @@ MARKERS = make_markers(DESIGN, SURFACE)
 
 
 def contacts_at(uv: np.ndarray, force: list[float], sample: list[int], radius: float) -> Contacts:
-    return Contacts(
+    return Contacts.flat(
         sample=np.array(sample),
         uv=uv,
         radius_mm=np.full(len(uv), radius),

@@ -8,7 +8,8 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.simulation.indenters import INDENTERS, Touches
+from phytac_design.mechanics.indenter import INDENTERS
+from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -36,7 +37,7 @@ CYLINDER = INDENTERS.index("cylinder")
 
 def contacts_of(
     log: RigLog, sensor: Sensor, *, off_mm: float, radius_mm: float, problems: RowProblems
-) -> Touches:
+) -> Contacts:
     """Contacts of a log, in the order of its samples.
 
     Rows without force are samples without contact. Bad rows are noted, and are left out.
@@ -82,7 +83,7 @@ def contacts_of(
             "mm?"
         ),
     )
-    return Touches(
+    return Contacts(
         sample=log.sample[order],
         uv=uv[order],
         radius_mm=np.nan_to_num(numbers.get("radius_mm", np.full(len(rows), radius_mm))[order]),
@@ -96,7 +97,7 @@ def contacts_of(
 
 
 def sequences_of(
-    given: FloatArray | None, touches: Touches, points_mm: FloatArray, near_mm: float
+    given: FloatArray | None, touches: Contacts, points_mm: FloatArray, near_mm: float
 ) -> IntArray:
     """Number of the press of each sample, (s,): the log's, or samples in a row at one place.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from phytac_design.simulation.indenters import INDENTERS
+from phytac_design.mechanics.indenter import INDENTERS
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import InputError

@@ -17,13 +17,12 @@ from phytac_decoder.pipeline.decode import (
     rest_positions,
 )
 from phytac_decoder.vision.segmentation import check_image
-from phytac_design.datasets.samples import REAL, Samples, TouchRows, truth_rows
+from phytac_design.datasets.samples import REAL, Samples, truth_rows
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.shell.footprints import footprint_shares
-from phytac_design.simulation.contacts import Switching, assign_forces
-from phytac_design.simulation.indenters import Touches
+from phytac_design.simulation.contacts import Contacts, Switching, assign_forces
 from phytac_design.simulation.rig_import.rig_frames import FrameSource
 from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems
 from phytac_shapes import Surface
@@ -148,7 +147,7 @@ def measure_samples(
 
 def samples_of(
     rig: RigSetup,
-    touches: Touches,
+    touches: Contacts,
     seen: list[FrameMeasurement],
     *,
     time_s: FloatArray,
@@ -185,24 +184,14 @@ def samples_of(
         bits=bits,
         bits_read=bits,
         shift_px=np.stack([measured.shift_px for measured in seen]),
-        touches=TouchRows(
-            sample=touches.sample,
-            uv=touches.uv,
-            point_mm=rig.surface.point(touches.uv),
-            radius_mm=touches.radius_mm,
-            force_N=touches.force_N,
-            indenter=touches.indenter,
-            length_mm=touches.length_mm,
-            turn_rad=touches.turn_rad,
-            friction=touches.friction,
-        ),
+        touches=touches.table(rig.surface),
         truth=truth_rows(bits, switching.owner, switching.receptor_force_N),
     ), _doubt(rig, touches, share, switching)
 
 
 def _remarks(
     rig: RigSetup,
-    touches: Touches,
+    touches: Contacts,
     share: FloatArray,
     seen: list[FrameMeasurement],
     bits: BoolArray,
@@ -224,7 +213,7 @@ def _remarks(
     return out
 
 
-def _doubt(rig: RigSetup, touches: Touches, share: FloatArray, switching: Switching) -> str:
+def _doubt(rig: RigSetup, touches: Contacts, share: FloatArray, switching: Switching) -> str:
     """Doubt about the unit of forces, from the thresholds they overcame; empty for none."""
     carried = share * touches.force_N[:, None]
     mine = switching.owner[touches.sample] == np.arange(len(touches.sample))[:, None]

@@ -8,7 +8,6 @@ from phytac_design.datasets.samples import (
     THEORIES,
     DataSetInfo,
     Samples,
-    TouchRows,
     truth_rows,
 )
 from phytac_design.design.design_file import design_hash
@@ -54,17 +53,7 @@ def gather_samples(job: Job, journal: Journal) -> Samples:
         bits=switching.bits,
         bits_read=np.stack([item["bits_read"] for item in arrays]),
         shift_px=np.stack([item["shift_px"] for item in arrays]),
-        touches=TouchRows(
-            sample=touches.sample[order],
-            uv=touches.uv[order],
-            point_mm=job.surface.point(touches.uv[order]),
-            radius_mm=touches.radius_mm[order],
-            force_N=touches.force_N[order],
-            indenter=touches.indenter[order],
-            length_mm=touches.length_mm[order],
-            turn_rad=touches.turn_rad[order],
-            friction=touches.friction[order],
-        ),
+        touches=touches.take(order).table(job.surface),
         truth=truth_rows(switching.bits, rank[switching.owner], switching.receptor_force_N),
     )
 

@@ -9,8 +9,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.shell.footprints import footprint_shares
-from phytac_design.simulation.contacts import Switching, assign_forces
-from phytac_design.simulation.indenters import Touches
+from phytac_design.simulation.contacts import Contacts, Switching, assign_forces
 from phytac_design.simulation.sample_plan import ChartBox, SamplePlan
 from phytac_design.simulation.scenario.contact_box import contact_box, window_grid
 from phytac_design.simulation.scenario.contact_placement import chart_window
@@ -22,7 +21,6 @@ from phytac_design.simulation.scenario.presses import (
     largest_reach_mm,
     press_count,
     reach_mm,
-    select_contacts,
 )
 from phytac_design.simulation.scenario.scenario_file import Scenario
 from phytac_design.simulation.scenario.scenario_sections import CycleSection, TimeSection
@@ -46,7 +44,7 @@ NEGLIGIBLE = 1e-9
 BLOCK = 2000
 """Samples whose switches are worked out at once, to bound the memory."""
 
-Shares = Callable[[Touches], FloatArray]
+Shares = Callable[[Contacts], FloatArray]
 """(c contacts) -> share of the force of each on each footprint, (c, n)."""
 
 
@@ -56,7 +54,7 @@ class ContactHistory:
 
     Attributes
     ----------
-    touches : Touches
+    touches : Contacts
         Contacts with the force that a gauge reads.
     felt_N : (c,) float
         Their felt force.
@@ -70,7 +68,7 @@ class ContactHistory:
         Press that each belongs to.
     """
 
-    touches: Touches
+    touches: Contacts
     felt_N: FloatArray
     body: IntArray
     before_N: FloatArray
@@ -126,7 +124,7 @@ def draw_plan(
     )
 
 
-def _region(design: Design, surface: Surface, scenario: Scenario, touches: Touches) -> ChartBox:
+def _region(design: Design, surface: Surface, scenario: Scenario, touches: Contacts) -> ChartBox:
     """Where contacts may lie: as drawn, the whole touched part, however many samples there are."""
     touch = scenario.touch
     if touch.at is not None or scenario.kind == "cycles":
@@ -211,9 +209,7 @@ def _grips(
     now = before[..., -1].reshape(-1, pads)[:count].ravel()
     period = levels * step + time.release_s + time.rest_s
     return ContactHistory(
-        touches=replace(
-            select_contacts(hand, body), sample=number.repeat(pads), samples=count, force_N=now
-        ),
+        touches=replace(hand.take(body), sample=number.repeat(pads), samples=count, force_N=now),
         felt_N=np.swapaxes(felt[..., 2::2], 1, 2).reshape(-1, pads)[:count].ravel(),
         body=body,
         before_N=before.reshape(-1, pads, 2 * levels)[:count].reshape(len(body), -1),
@@ -255,9 +251,7 @@ def _cycles(
     body = np.tile(np.arange(count), len(row) // max(count, 1))
     peak = bodies.force_N[body]
     return ContactHistory(
-        touches=replace(
-            select_contacts(bodies, body), sample=row, samples=samples, force_N=now[row] * peak
-        ),
+        touches=replace(bodies.take(body), sample=row, samples=samples, force_N=now[row] * peak),
         felt_N=left[row] * peak,
         body=body,
         before_N=np.column_stack([most[row] * peak, now[row] * peak]),
@@ -273,14 +267,10 @@ def _switching(pressed: ContactHistory, unit: SensorInstance, shares: Shares) ->
         last = min(first + BLOCK, touches.samples)
         begin, end = np.searchsorted(touches.sample, [first, last])
         rows = np.arange(begin, end)
-        own = select_contacts(touches, rows)
+        own = touches.take(rows)
         own = replace(own, sample=own.sample - first, samples=last - first)
         _, unique, inverse = np.unique(pressed.body[rows], return_index=True, return_inverse=True)
-        share = (
-            shares(select_contacts(own, unique))[inverse]
-            if len(rows)
-            else np.zeros((0, len(unit.on_N)))
-        )
+        share = shares(own.take(unique))[inverse] if len(rows) else np.zeros((0, len(unit.on_N)))
         state = np.zeros((last - first, len(unit.on_N)), dtype=np.bool_)
         for past in pressed.before_N[rows].T:
             total = np.zeros(state.shape)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.simulation.indenters import Touches
+from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.scenario.contact_placement import ChartWindow, chart_window
 from phytac_design.simulation.scenario.presses import ContactRanges, contact_ranges, draw_indenters
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
@@ -33,7 +33,7 @@ SETTINGS = PadSettings()
 
 def draw_grips(
     design: Design, surface: Surface, scenario: Scenario, *, seed: int, grips: int
-) -> Touches:
+) -> Contacts:
     """Pads of ``grips`` grips, each grip a sample; forces are parts of 1.
 
     The hand is laid over the touched part of the chart, turned around a closed axis, swapped end
@@ -57,7 +57,7 @@ def draw_grips(
     reach = np.hypot(indenters["radius_mm"], indenters["length_mm"] / 2.0)
     shrink = _shrink(surface, uv, reach, count)
     share = np.array([pad.share for pad in grip.pads]) * np.exp(grip.scatter * spread)
-    return Touches(
+    return Contacts(
         sample=np.repeat(np.arange(grips), count),
         uv=uv,
         force_N=(share / share.sum(axis=1, keepdims=True)).ravel(),

@@ -12,7 +12,8 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.simulation.indenters import INDENTERS, Touches
+from phytac_design.mechanics.indenter import INDENTERS
+from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.scenario.contact_placement import (
     PlaceSampler,
     jitter_of,
@@ -99,7 +100,7 @@ def press_count(design: Design, scenario: Scenario) -> int:
 
 def given_contacts(
     surface: Surface, markers: Markers, touch: ContactsSection, samples: int
-) -> Touches:
+) -> Contacts:
     """Contacts of ``[[touch.at]]``, in the order of their samples."""
     items = tuple(sorted(touch.at or (), key=lambda item: item.sample))
     radius = np.array([item.radius_mm for item in items])
@@ -107,7 +108,7 @@ def given_contacts(
         0.0 if item.indenter != "cylinder" else item.length_mm or LENGTH_RADII * item.radius_mm
         for item in items
     ]
-    return Touches(
+    return Contacts(
         sample=np.array([item.sample for item in items], dtype=np.int64),
         uv=places_at(surface, markers, items),
         radius_mm=radius,
@@ -122,7 +123,7 @@ def given_contacts(
 
 def draw_presses(
     sensor: Sensor, scenario: Scenario, *, seed: int, samples: int, alone: bool = False
-) -> Touches:
+) -> Contacts:
     """Draw the contacts of independent samples; a sample depends on the seed and its number only.
 
     Forces are uniform in their range, radii in theirs. Contacts of one sample keep apart by more
@@ -189,11 +190,11 @@ def _evenly(numbers: IntArray, step: float, start: float, share: float) -> BoolA
     return np.asarray(np.mod(numbers * step + start, 1.0) < share)
 
 
-def concatenate_contacts(parts: Sequence[Touches], samples: int) -> Touches:
+def concatenate_contacts(parts: Sequence[Contacts], samples: int) -> Contacts:
     """Contacts of several sets, one after the other."""
     names = [name for name in vars(parts[0]) if name != "samples"]
     arrays = {name: np.concatenate([vars(part)[name] for part in parts]) for name in names}
-    return Touches(**arrays, samples=samples)
+    return Contacts(**arrays, samples=samples)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,9 +210,9 @@ class _Draw:
 
     def fill(
         self, numbers: IntArray, wanted: IntArray, rngs: Sequence[np.random.Generator]
-    ) -> Touches:
+    ) -> Contacts:
         """Draw candidates for samples that lack contacts, and keep those that find room."""
-        kept: list[Touches] = []
+        kept: list[Contacts] = []
         taken: list[list[tuple[FloatArray, float]]] = [[] for _ in numbers]
         lacking, tried = np.flatnonzero(wanted > 0), 0
         while len(lacking) and tried < SETTINGS.tries:
@@ -230,7 +231,7 @@ class _Draw:
                 if len(taken[k]) < wanted[k] and self.apart(at[row], float(size[row]), taken[k]):
                     taken[k].append((at[row], float(size[row])))
                     chosen.append(row)
-            kept.append(select_contacts(rows, np.array(chosen, dtype=np.int64)))
+            kept.append(rows.take(np.array(chosen, dtype=np.int64)))
             lacking = np.array([k for k in lacking if len(taken[k]) < wanted[k]], dtype=np.int64)
             tried += count
         for k in lacking:
@@ -240,7 +241,7 @@ class _Draw:
                 *(np.zeros(0, dtype=np.int64),) * 2, np.zeros((0, SETTINGS.draws))
             )
         whole = concatenate_contacts(kept, len(numbers))
-        return select_contacts(whole, np.argsort(whole.sample, kind="stable"))
+        return whole.take(np.argsort(whole.sample, kind="stable"))
 
     def apart(self, at: FloatArray, size: float, taken: list[tuple[FloatArray, float]]) -> bool:
         """Whether a contact keeps off those that a sample has."""
@@ -258,10 +259,10 @@ class _Draw:
                 "touch.multi_share = 0",
             )
 
-    def candidates(self, sample: IntArray, receptor: IntArray, draw: FloatArray) -> Touches:
+    def candidates(self, sample: IntArray, receptor: IntArray, draw: FloatArray) -> Contacts:
         """Contacts (m,) out of random numbers (m, draws); places that hit nothing are NaN."""
         low, high = self.limits.force_N
-        return Touches(
+        return Contacts(
             sample=sample,
             uv=self.place(receptor, draw[:, :4]),
             force_N=low + (high - low) * draw[:, 5],
@@ -309,7 +310,7 @@ def draw_indenters(
     }
 
 
-def reach_mm(touches: Touches) -> FloatArray:
+def reach_mm(touches: Contacts) -> FloatArray:
     """Distance from each centre to the farthest point of its patch, (c,) mm."""
     return np.asarray(np.hypot(touches.radius_mm, touches.length_mm / 2.0))
 
@@ -325,9 +326,3 @@ def largest_reach_mm(touch: ContactsSection, limits: ContactRanges) -> float:
     if touch.placement in {"receptor", "columns"}:
         reach += np.sqrt(2.0) * jitter_of(touch, limits.radius_mm[0])
     return float(reach)
-
-
-def select_contacts(touches: Touches, rows: IntArray) -> Touches:
-    """Contacts ``rows``, which keep the numbers of their samples."""
-    arrays = {name: array[rows] for name, array in vars(touches).items() if name != "samples"}
-    return Touches(**arrays, samples=touches.samples)

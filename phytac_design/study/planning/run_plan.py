@@ -16,7 +16,6 @@ from phytac_design.layout.arc import by_area
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.simulation.contacts import Contacts, Switching, switch_states
-from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.build import BuildResult, build
@@ -126,7 +125,7 @@ def reference_presses(
     low, high = max(training.force_min_N, training.force_max_N / 2.0), training.force_max_N
     share = np.mod(0.5 + np.arange(len(uv)) * EVEN_STEPS[0], 1.0)
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
-    contacts = Contacts(
+    contacts = Contacts.flat(
         sample=np.arange(len(uv)),
         uv=uv,
         radius_mm=np.full(len(uv), radius),
@@ -138,7 +137,7 @@ def reference_presses(
     holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
     kinematics = ReceptorKinematics(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
     shell, vision = QuasiNewtonSolver(model), image_response_of(context)
-    unit = indentation_loads(mesh, surface, flat_touches(contacts), holes=holes).toarray()
+    unit = indentation_loads(mesh, surface, contacts, holes=holes).toarray()
     shift = np.full((len(uv), markers.count, 2), np.nan)
     for k, force in enumerate(contacts.force_N):
         progress(f"audit: press {k + 1} of {len(uv)}")

@@ -7,7 +7,6 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout.arc import by_area
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.indenters import Touches, flat_touches
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
@@ -35,17 +34,15 @@ class StandardContacts:
     radius_mm: float
 
     @property
-    def touches(self) -> Touches:
+    def touches(self) -> Contacts:
         """The same as touches, each a sample of its own."""
         count = len(self.uv)
-        return flat_touches(
-            Contacts(
-                sample=np.arange(count),
-                uv=self.uv,
-                radius_mm=np.full(count, self.radius_mm),
-                force_N=self.force_N,
-                samples=count,
-            )
+        return Contacts.flat(
+            sample=np.arange(count),
+            uv=self.uv,
+            radius_mm=np.full(count, self.radius_mm),
+            force_N=self.force_N,
+            samples=count,
         )
 
 
