@@ -1,6 +1,7 @@
-"""Figures as PNG bytes. matplotlib is imported at first use, without its pyplot."""
+"""Figures as PNG, SVG and PDF. matplotlib is imported at first use, without its pyplot."""
 
-from io import BytesIO
+from collections.abc import Sequence
+from io import BytesIO, StringIO
 from typing import Any
 
 
@@ -17,3 +18,25 @@ def new_figure(size: tuple[float, float], *, layout: str | None = "constrained")
     from matplotlib.figure import Figure
 
     return Figure(figsize=size, layout=layout)
+
+
+def svg(figure: Any) -> str:
+    """SVG of a figure, text as text, the same for the same figure."""
+    import matplotlib as mpl
+
+    file = StringIO()
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "phytac"}):
+        figure.savefig(file, format="svg", metadata={"Date": None})
+    out = file.getvalue()
+    return out[out.index("<svg") :]
+
+
+def pdf(figures: Sequence[Any], *, title: str) -> bytes:
+    """PDF with a page for each figure, without dates."""
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    out, metadata = BytesIO(), {"Title": title, "CreationDate": None}
+    with PdfPages(out, metadata=metadata) as pages:
+        for figure in figures:
+            pages.savefig(figure)
+    return out.getvalue()

@@ -4,16 +4,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from phytac_design.core.figures import pdf, svg
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.fabrication.documents import bill_of_materials as bill
 from phytac_design.fabrication.documents.assembly_page import assembly_html
 from phytac_design.fabrication.documents.exploded import Body, part_colour, picture, switch_bodies
 from phytac_design.fabrication.documents.fixture_steps import fixture_steps
 from phytac_design.fabrication.documents.paint_map import make_map, paper_pages, whole_page
-from phytac_design.fabrication.documents.pdf import pdf_bytes
 from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps, recipe_text
 from phytac_design.fabrication.documents.section_view import section_svg
-from phytac_design.fabrication.documents.sheet_drawing import svg_text
 from phytac_design.fabrication.documents.switch_placement import placement_csv
 from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS, read_stl
@@ -32,11 +31,11 @@ def run(context: Context, folder: Path) -> None:
         export_path(folder, f"bench/{name}").write_text(text, encoding="utf-8")
 
     drawn = make_map(context.sensor, switches)
-    write("paint_map.svg", svg_text(whole_page(drawn)))
-    write("paint_map_inside.svg", svg_text(whole_page(drawn, inside=True)))
+    write("paint_map.svg", svg(whole_page(drawn)))
+    write("paint_map_inside.svg", svg(whole_page(drawn, inside=True)))
     pages = paper_pages(drawn)
-    pdf = pdf_bytes(pages, title=f"{design.name}: paint map")
-    export_path(folder, "bench/paint_map.pdf").write_bytes(pdf)
+    data = pdf(pages, title=f"{design.name}: paint map")
+    export_path(folder, "bench/paint_map.pdf").write_bytes(data)
     write("switch_placement.csv", placement_csv(context.surface, markers, switches, drawn))
 
     lists, hardware = parts_of(context), context.facts("hardware")

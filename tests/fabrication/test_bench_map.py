@@ -3,21 +3,20 @@
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from phytac_design.core.figures import pdf, svg
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.paint_map import (
     OVERLAP_mm,
     PaintMap,
     make_map,
-    map_items,
     paper_pages,
     whole_page,
 )
-from phytac_design.fabrication.documents.pdf import pdf_bytes
-from phytac_design.fabrication.documents.sheet_drawing import Disc, DrawnLine, svg_text
 from phytac_design.fabrication.documents.unroll import unroll
 from phytac_design.layout.sensor import Sensor
 from phytac_shapes.arrays import FloatArray
@@ -148,25 +147,27 @@ def test_every_marker_has_its_paint_its_tip_and_its_names(tmp_path: Path) -> Non
     design = shipped("plane")
     paint = drawn(design, tmp_path)
     _, _, markers = built(design)
-    items = map_items(paint)
-    high = paint.box_mm[1, 1]
-    low = paint.box_mm[0, 0]
-    discs = [item for item in items if isinstance(item, Disc)]
+    outside, inside = (whole_page(paint, inside=way) for way in (False, True))
     for radius, count in ((1.5, 130), (0.8, 130), (0.6, 130)):
-        found = [disc for disc in discs if disc.radius_mm == pytest.approx(radius)]
-        assert len(found) == count
-        centres = np.array([disc.centre for disc in found])
-        due = np.column_stack([paint.place_mm[:, 0] - low, high - paint.place_mm[:, 1]])
-        assert centres == pytest.approx(due)
-    inks = [disc.fill for disc in discs if disc.radius_mm == pytest.approx(1.5)]
+        (found,) = discs_of(outside, radius)
+        assert found.get_offsets() == pytest.approx(paint.place_mm)
+        assert len(found.get_offsets()) == count
+    (paints,) = discs_of(outside, 1.5)
+    inks = map(tuple, paints.get_facecolor().tolist())
     names = design.layout.colours
     assert len({(ink, names[k]) for ink, k in zip(inks, markers.colour, strict=True)}) == 2
-    mirrored = [item for item in map_items(paint, inside=True) if isinstance(item, Disc)]
-    x = [disc.centre[0] + other.centre[0] for disc, other in zip(discs, mirrored, strict=True)]
-    assert x == pytest.approx([float(np.ptp(paint.box_mm[:, 0]))] * len(x))
-    svg = svg_text(whole_page(paint))
-    assert svg.count(">9.12<") == 1
-    assert re.search(r'width="([\d.]+)mm".*viewBox="0 0 \1 ', svg)
+    around = [figure.axes[1].get_xlim() for figure in (outside, inside)]
+    assert around[0] == around[1][::-1] == tuple(paint.box_mm[:, 0])
+    text = svg(outside)
+    assert text.count(">9.12<") == 1
+    width = re.search(r'width="([\d.]+)pt".*viewBox="0 0 \1 ', text)
+    assert width is not None
+    assert float(width[1]) == pytest.approx(outside.get_figwidth() * 72.0, abs=1e-3)
+
+
+def discs_of(figure: Any, radius_mm: float) -> list[Any]:
+    """Collections of discs of a radius on the map of a page."""
+    return [item for item in figure.axes[1].collections if item.get_widths()[0] == 2.0 * radius_mm]
 
 
 def big(tmp_path: Path) -> PaintMap:
@@ -183,32 +184,25 @@ def test_a_large_map_is_split_over_sheets_that_overlap(tmp_path: Path) -> None:
     markers = paint.place_mm.shape[0]
     whole = np.zeros(markers, dtype=int)
     for page in sheets:
-        layer = page.layers[0]
-        assert layer.window is not None
-        inside = [
-            item.centre
-            for item in layer.items
-            if isinstance(item, Disc) and item.radius_mm == pytest.approx(0.6)
-        ]
-        low, high = layer.window
-        assert np.all(low > 0.0)
-        assert np.all(high < [page.width_mm, page.height_mm])
-        whole += np.all((inside >= low + 1.5) & (inside <= high - 1.5), axis=1)
+        low, high = np.sort([page.axes[1].get_xlim(), page.axes[1].get_ylim()], axis=1).T
+        place = paint.place_mm
+        whole += np.all((place >= low + 1.5) & (place <= high - 1.5), axis=1)
+        edges = page.axes[1].get_position()
+        paper = 25.4 * page.get_size_inches()
+        assert np.ptp(edges.get_points(), axis=0) * paper == pytest.approx(high - low)
+        assert edges.get_points().min() > 0.0
+        assert edges.get_points().max() < 1.0
     assert whole.min() >= 1
     assert whole.max() >= 2
-    first, second = sheets[0].layers[0], sheets[1].layers[0]
-    shift = second.items[0].box[0, 0] - first.items[0].box[0, 0]
-    assert first.window is not None
-    assert -shift == pytest.approx(float(np.ptp(first.window[:, 0])) - OVERLAP_mm)
-    crosses = [i for i in first.items if isinstance(i, DrawnLine) and len(i.points) == 2]
-    assert len(crosses) >= 3
+    first, second = (page.axes[1].get_xlim() for page in sheets[:2])
+    assert first[1] - second[0] == pytest.approx(OVERLAP_mm)
 
 
 def test_the_pdf_is_sound_and_the_same_every_time(tmp_path: Path) -> None:
     paint = drawn(shipped("plane"), tmp_path)
     pages = paper_pages(paint)
-    data = pdf_bytes(pages, title="plane (test)")
-    assert data == pdf_bytes(paper_pages(paint), title="plane (test)")
+    data = pdf(pages, title="plane (test)")
+    assert data == pdf(paper_pages(paint), title="plane (test)")
     assert b"CreationDate" not in data
     boxes = re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", data)
     millimetres = np.array(boxes, dtype=float) * 25.4 / 72.0
@@ -220,7 +214,7 @@ def test_the_printed_page_is_true_to_scale(tmp_path: Path) -> None:
     design = shipped("hemisphere")
     paint = drawn(design, tmp_path)
     path = tmp_path / "map.pdf"
-    path.write_bytes(pdf_bytes(paper_pages(paint), title="map"))
+    path.write_bytes(pdf(paper_pages(paint), title="map"))
     (page,) = rasterise_pdf(path, tmp_path, last=1)
     ticks = tick_places_mm(page)
     assert len(ticks) == 11

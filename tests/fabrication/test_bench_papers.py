@@ -14,6 +14,7 @@ from phytac_design.engine.stage import EXPORT
 from phytac_design.fabrication.documents.bill_of_materials import bill_csv, bill_rows, shell_parts
 from phytac_design.fabrication.documents.densities import DENSITY_g_cm3, mass_g
 from phytac_design.fabrication.documents.fixture_steps import fixture_steps
+from phytac_design.fabrication.documents.paint_map import INKS
 from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps, recipe_text
 from phytac_design.fabrication.switch_set import revolved_volume_mm3
 from phytac_design.geometry.triangles import TriangleMesh
@@ -86,9 +87,8 @@ def test_all_files_speak_of_the_same_markers(two: list[tuple[Design, Path]]) -> 
         due = markers.height_mm + case.wall.thickness_mm - case.switch.tip_recess_mm
         assert lengths == pytest.approx(due, abs=0.051)
         svg = files["bench/paint_map.svg"].read_text()
-        tip = case.switch.tip_diameter_mm / 2.0
-        discs = re.findall(rf'<circle cx="([\d.]+)" cy="([\d.]+)" r="{tip:.4f}"', svg)
-        drawn = np.array(discs, dtype=float)
+        discs = re.findall(rf'<use [^>]*x="([\d.]+)" y="([\d.]+)" style="fill: {INKS["red"]}', svg)
+        drawn = np.array(discs[: markers.count], dtype=float) * 25.4 / 72.0
         flat = surface.unwrap(markers.uv) * [1.0, -1.0]
         assert drawn - drawn[0] == pytest.approx(flat - flat[0], abs=2e-3)
         program = rows_of(files["kit/program.csv"])

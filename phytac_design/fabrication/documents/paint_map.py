@@ -2,19 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import ceil
+from typing import Any
 
 import numpy as np
 
+from phytac_design.core.figures import new_figure
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.sheet_drawing import (
-    Disc,
-    DrawnLine,
-    Item,
-    Layer,
-    Page,
-    Text,
-)
 from phytac_design.fabrication.documents.unroll import UnrolledSurface, unroll
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
@@ -28,8 +23,9 @@ MARGIN_mm = 8.0
 HEAD_mm, FOOT_mm = 17.0, 13.0
 OVERLAP_mm = 10.0
 """Strip that neighbouring sheets share."""
-BAR_mm, TICK_mm = 100, 10
-TEXT_mm = (0.9, 1.7)
+BAR_mm = 100
+POINTS = 72.0 / 25.4
+"""Points per millimetre."""
 INKS = {name: "#{:02x}{:02x}{:02x}".format(*rgba[:3]) for name, rgba in DISPLAY_COLOURS.items()} | {
     "yellow": "#d8b400",
     "magenta": "#c2189b",
@@ -109,7 +105,7 @@ def make_map(sensor: Sensor, switches: SwitchSet) -> PaintMap:
         number=marker_numbers(markers),
         switch=switch_labels(switches),
         paint=tuple(names[k] for k in markers.colour),
-        text_mm=float(np.clip(text_share * nearest, *TEXT_mm)),
+        text_mm=float(np.clip(text_share * nearest, 0.9, 1.7)),
     )
 
 
@@ -137,96 +133,113 @@ def _ghosts(
     return tuple(out)
 
 
-def map_items(drawn: PaintMap, *, inside: bool = False) -> list[Item]:
-    """Items of the map at 1:1, its box's top left corner at (0, 0), y downwards.
-
-    ``inside`` mirrors it: as the receptors stand before the one who paints them.
-    """
-    ghost = "#9a9a9a"
-    low, high = drawn.box_mm
-
-    def put(points: FloatArray) -> FloatArray:
-        x, y = np.moveaxis(np.asarray(points), -1, 0)
-        return np.stack([high[0] - x if inside else x - low[0], high[1] - y], axis=-1)
-
-    out: list[Item] = [
-        DrawnLine(points=put(edge), closed=True, stroke="#000000", width_mm=0.18)
-        for edge in drawn.unrolled.outline
-    ]
-    out += [
-        DrawnLine(points=put(edge), stroke="#e07000", width_mm=0.35, dash_mm=2.0)
-        for edge in drawn.unrolled.seams
-    ]
-    radius = drawn.design.receptor.diameter_outer_mm / 2.0
-    for marker, at in drawn.ghosts:
-        out.append(Disc(centre=put(at), radius_mm=radius, stroke=ghost, dash_mm=0.5))
-        out += _names(drawn, marker, put(at), ghost)
-    hole = drawn.design.receptor.diameter_hole_mm / 2.0
-    tip = drawn.design.switch.tip_diameter_mm / 2.0
-    for marker, at in enumerate(put(drawn.place_mm)):
-        out.append(Disc(centre=at, radius_mm=radius, fill=INKS[drawn.paint[marker]]))
-        out.append(Disc(centre=at, radius_mm=hole, fill="#ffffff"))
-        out.append(Disc(centre=at, radius_mm=tip, fill=INKS["red"]))
-        out += _names(drawn, marker, at, "#000000")
-    return out
+def sheet_of_paper(width_mm: float, height_mm: float) -> tuple[Any, Any]:
+    """Figure of a size, and axes all over it in millimetres, y downwards from the top left."""
+    figure = new_figure((width_mm / 25.4, height_mm / 25.4), layout=None)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), zorder=1)
+    axes.set(xlim=(0.0, width_mm), ylim=(height_mm, 0.0))
+    axes.set_axis_off()
+    return figure, axes
 
 
-def _names(drawn: PaintMap, marker: int, at: FloatArray, colour: str) -> list[Item]:
-    """Marker's number above it and its switch's label below."""
-    radius, size = drawn.design.receptor.diameter_outer_mm / 2.0, drawn.text_mm
-    above, below = np.array([0.0, -radius - 0.15 * size]), np.array([0.0, radius + 0.9 * size])
-    words = ((drawn.number[marker], above), (drawn.switch[marker], below))
-    return [
-        Text(at=at + away, text=word, size_mm=size, anchor="middle", colour=colour)
-        for word, away in words
-    ]
+def line(
+    axes: Any, points: FloatArray, width_mm: float, dash_mm: float = 0.0, colour: str = "#000000"
+) -> None:
+    """Draw a line through points (k, 2)."""
+    # Dashes are counted in widths of the line.
+    style: Any = (0, (dash_mm / width_mm,) * 2) if dash_mm else "solid"
+    width = width_mm * POINTS
+    axes.plot(*points.T, color=colour, linewidth=width, linestyle=style, solid_capstyle="butt")
 
 
-def whole_page(drawn: PaintMap, *, inside: bool = False) -> Page:
-    """Whole map on one sheet of its own size, for the SVG."""
-    size = np.ptp(drawn.box_mm, axis=0)
-    width = max(float(size[0]), BAR_mm + 20.0) + 2.0 * MARGIN_mm
-    height = float(size[1]) + HEAD_mm + FOOT_mm + 2.0 * MARGIN_mm
-    at = np.array([MARGIN_mm, MARGIN_mm + HEAD_mm])
-    items = [item.moved(at) for item in map_items(drawn, inside=inside)]
-    return Page(
-        width_mm=width,
-        height_mm=height,
-        layers=[Layer(items=items), Layer(items=_frame(drawn, width, height, inside, ""))],
+def write(axes: Any, at: Sequence[float], text: str, size_mm: float, **style: Any) -> None:
+    """Write a line of text on its baseline."""
+    axes.text(
+        *at,
+        text,
+        fontsize=size_mm * POINTS,
+        parse_math=False,
+        clip_on=True,
+        **style,
     )
 
 
-def paper_pages(drawn: PaintMap) -> list[Page]:
-    """Sheets of paper of the map seen from outside, then of its mirror image."""
-    return [page for inside in (False, True) for page in _split(drawn, inside=inside)]
+def discs(axes: Any, centres: FloatArray, radius_mm: float, **style: Any) -> None:
+    """Draw discs around centres (n, 2)."""
+    from matplotlib.collections import EllipseCollection
+
+    size = [2.0 * radius_mm]
+    axes.add_collection(
+        EllipseCollection(
+            size,
+            size,
+            [0.0],
+            units="xy",
+            offsets=centres,
+            offset_transform=axes.transData,
+            **{"linewidths": 0.0, "zorder": 2.5, **style},
+        ),
+        autolim=False,
+    )
 
 
-def _split(drawn: PaintMap, *, inside: bool) -> list[Page]:
-    # Width and height of upright paper, mm.
+def draw_map(axes: Any, drawn: PaintMap) -> None:
+    """Draw the map on axes whose limits are chosen: along upwards, around to the right."""
+    for edge in drawn.unrolled.outline:
+        line(axes, np.concatenate([edge, edge[:1]]), 0.18)
+    for edge in drawn.unrolled.seams:
+        line(axes, edge, 0.35, 2.0, "#e07000")
+    receptor, size = drawn.design.receptor, drawn.text_mm
+    radius, grey = receptor.diameter_outer_mm / 2.0, "#9a9a9a"
+    (x0, x1), (y0, y1) = np.sort(axes.get_xlim()), np.sort(axes.get_ylim())
+
+    def names(marker: int, at: FloatArray, colour: str) -> None:
+        """Marker's number above it and its switch's label below."""
+        reach = radius + 2.0 * size
+        if x0 - reach < at[0] < x1 + reach and y0 - reach < at[1] < y1 + reach:
+            style = {"color": colour, "horizontalalignment": "center"}
+            write(axes, (at[0], at[1] + radius + 0.15 * size), drawn.number[marker], size, **style)
+            write(axes, (at[0], at[1] - radius - 0.9 * size), drawn.switch[marker], size, **style)
+
+    for marker, at in drawn.ghosts:
+        style = {"linewidths": 0.1 * POINTS, "linestyles": [(0, (5.0, 5.0))]}
+        discs(axes, at[None], radius, facecolors="none", edgecolors=grey, **style)
+        names(marker, at, grey)
+    discs(axes, drawn.place_mm, radius, facecolors=[INKS[paint] for paint in drawn.paint])
+    discs(axes, drawn.place_mm, receptor.diameter_hole_mm / 2.0, facecolors="#ffffff")
+    tip = drawn.design.switch.tip_diameter_mm / 2.0
+    discs(axes, drawn.place_mm, tip, facecolors=INKS["red"])
+    for marker, at in enumerate(drawn.place_mm):
+        names(marker, at, "#000000")
+
+
+def whole_page(drawn: PaintMap, *, inside: bool = False) -> Any:
+    """Figure of the whole map on one sheet of its own size, for the SVG.
+
+    ``inside`` mirrors it: as the receptors stand before the one who paints them.
+    """
+    size = np.ptp(drawn.box_mm, axis=0)
+    width = max(float(size[0]), BAR_mm + 20.0) + 2.0 * MARGIN_mm
+    height = float(size[1]) + HEAD_mm + FOOT_mm + 2.0 * MARGIN_mm
+    return _page(drawn, (width, height), (np.zeros(2), size), inside=inside)[0]
+
+
+def paper_pages(drawn: PaintMap) -> list[Any]:
+    """Figures of sheets of paper with the map seen from outside, then of its mirror image."""
     sheets = {"A4": (210.0, 297.0), "letter": (215.9, 279.4)}
     size = np.ptp(drawn.box_mm, axis=0)
     upright = sheets[drawn.design.bench.sheet]
     ways = [_tiling(size, paper) for paper in (upright, upright[::-1])]
     paper, room, count = min(ways, key=lambda way: way[2][0] * way[2][1])
-    items = map_items(drawn, inside=inside)
-    corner = np.array([MARGIN_mm, MARGIN_mm + HEAD_mm])
     pages = []
-    for row in range(count[1]):
-        for column in range(count[0]):
-            start = np.array([column, row]) * (room - OVERLAP_mm)
-            end = np.minimum(start + room, size)
-            shift = corner - start
-            many = count[0] * count[1] > 1
-            name = f"sheet {chr(ord('A') + row)}{column + 1} of {count[1]} × {count[0]}"
-            marks = _joins(start, end, (column, row), count) if many else []
-            layers = [
-                Layer(
-                    items=[item.moved(shift) for item in [*items, *marks]],
-                    window=np.stack([corner, corner + end - start]),
-                ),
-                Layer(items=_frame(drawn, *paper, inside, name if many else "")),
-            ]
-            pages.append(Page(width_mm=paper[0], height_mm=paper[1], layers=layers))
+    for inside, row, column in product((False, True), range(count[1]), range(count[0])):
+        start = np.array([column, row]) * (room - OVERLAP_mm)
+        end = np.minimum(start + room, size)
+        many = count[0] * count[1] > 1
+        name = f"sheet {chr(ord('A') + row)}{column + 1} of {count[1]} × {count[0]}" if many else ""
+        figure, axes = _page(drawn, paper, (start, end), inside=inside, sheet=name)
+        _joins(axes, end - start, (column, row), count)
+        pages.append(figure)
     return pages
 
 
@@ -242,59 +255,75 @@ def _tiling(
     return paper, room, (count[0], count[1])
 
 
-def _joins(
-    start: FloatArray, end: FloatArray, at: tuple[int, int], count: tuple[int, int]
-) -> list[Item]:
+def _page(
+    drawn: PaintMap,
+    paper: tuple[float, float],
+    span: tuple[FloatArray, FloatArray],
+    *,
+    inside: bool,
+    sheet: str = "",
+) -> tuple[Any, Any]:
+    """Figure and axes (mm) of a page with the part of the map between two corners of its box.
+
+    The corners are counted from the top left of the picture, y downwards.
+    """
+    figure, axes = sheet_of_paper(*paper)
+    (left, top), (right, bottom) = span[0].tolist(), span[1].tolist()
+    low, high = drawn.box_mm.tolist()
+    width, height = right - left, bottom - top
+    x, y = MARGIN_mm, MARGIN_mm + HEAD_mm
+    part = figure.add_axes(
+        (x / paper[0], 1.0 - (y + height) / paper[1], width / paper[0], height / paper[1])
+    )
+    limits = (high[0] - left, high[0] - right) if inside else (low[0] + left, low[0] + right)
+    part.set(xlim=limits, ylim=(high[1] - bottom, high[1] - top))
+    part.set_axis_off()
+    draw_map(part, drawn)
+    _frame(axes, drawn, *paper, inside, sheet)
+    return figure, axes
+
+
+def _joins(axes: Any, size: FloatArray, at: tuple[int, int], count: tuple[int, int]) -> None:
     """Lines along the strips that a sheet shares with its neighbours, and crosses on them."""
-    out: list[Item] = []
+    corner = np.array([MARGIN_mm, MARGIN_mm + HEAD_mm])
     places: list[list[float]] = [[], []]
     for axis in (0, 1):
         if at[axis] > 0:
-            places[axis].append(float(start[axis] + OVERLAP_mm / 2.0))
+            places[axis].append(float(corner[axis] + OVERLAP_mm / 2.0))
         if at[axis] < count[axis] - 1:
-            places[axis].append(float(end[axis] - OVERLAP_mm / 2.0))
+            places[axis].append(float(corner[axis] + size[axis] - OVERLAP_mm / 2.0))
         for place in places[axis]:
-            line = np.stack([start, end])
-            line[:, axis] = place
-            out.append(DrawnLine(points=line, stroke="#555555", width_mm=0.15, dash_mm=1.0))
-    middle = (start + end) / 2.0
-    xs, ys = places[0] or [float(middle[0])], places[1] or [float(middle[1])]
-    for x in xs:
-        for y in ys:
-            out += _cross(np.array([x, y]))
-    return out
+            ends = np.stack([corner, corner + size])
+            ends[:, axis] = place
+            line(axes, ends, 0.15, 1.0, "#555555")
+    if places[0] or places[1]:
+        middle = (corner + size / 2.0).tolist()
+        for x, y in product(places[0] or [middle[0]], places[1] or [middle[1]]):
+            for reach in ([[-3.0, 0.0], [3.0, 0.0]], [[0.0, -3.0], [0.0, 3.0]]):
+                line(axes, np.array([x, y]) + reach, 0.15)
 
 
-def _cross(at: FloatArray) -> list[Item]:
-    return [
-        DrawnLine(points=at + reach, stroke="#000000", width_mm=0.15)
-        for reach in (np.array([[-3.0, 0.0], [3.0, 0.0]]), np.array([[0.0, -3.0], [0.0, 3.0]]))
-    ]
-
-
-def _frame(drawn: PaintMap, width: float, height: float, inside: bool, sheet: str) -> list[Item]:
+def _frame(
+    axes: Any, drawn: PaintMap, width: float, height: float, inside: bool, sheet: str
+) -> None:
     """Head with title, legend and notes; foot with the scale bars."""
     side_bar_mm = 50
     design = drawn.design
     side = "seen from inside (mirrored)" if inside else "seen from outside"
-    title = f"{design.name}: paint map, {side}, 1:1"
-    left, top = MARGIN_mm, MARGIN_mm
-    out: list[Item] = [Text(at=np.array([left, top + 4.0]), text=title, size_mm=4.0)]
-    if sheet:
-        here = np.array([width - MARGIN_mm, top + 4.0])
-        out.append(Text(at=here, text=sheet, size_mm=3.5, anchor="end"))
-    for line, text in enumerate(map_notes(drawn)):
-        out.append(Text(at=np.array([left, top + 8.0 + 3.2 * line]), text=text, size_mm=2.4))
-    foot = height - MARGIN_mm
-    out += scale_bar(np.array([left + 4.0, foot - 4.0]), BAR_mm)
-    out += scale_bar(np.array([left, foot - 4.0]), side_bar_mm, upright=True)
+    left, top, foot = MARGIN_mm, MARGIN_mm, height - MARGIN_mm
+    write(axes, (left, top + 4.0), f"{design.name}: paint map, {side}, 1:1", 4.0)
+    here = (width - MARGIN_mm, top + 4.0)
+    write(axes, here, sheet, 3.5, horizontalalignment="right")
+    for row, text in enumerate(map_notes(drawn)):
+        write(axes, (left, top + 8.0 + 3.2 * row), text, 2.4)
+    scale_bar(axes, np.array([left + 4.0, foot - 4.0]), BAR_mm)
+    scale_bar(axes, np.array([left, foot - 4.0]), side_bar_mm, upright=True)
     x = left + BAR_mm + 12.0
     for name in [*dict.fromkeys(design.layout.colours), "red"]:
-        out.append(Disc(centre=np.array([x, foot - 6.0]), radius_mm=1.2, fill=INKS[name]))
+        discs(axes, np.array([[x, foot - 6.0]]), 1.2, facecolors=INKS[name])
         words = f"{name} tip" if name == "red" else name
-        out.append(Text(at=np.array([x + 2.0, foot - 5.1]), text=words, size_mm=2.6))
+        write(axes, (x + 2.0, foot - 5.1), words, 2.6)
         x += 5.0 + 1.6 * len(words)
-    return out
 
 
 def map_notes(drawn: PaintMap) -> Sequence[str]:
@@ -321,15 +350,14 @@ def map_notes(drawn: PaintMap) -> Sequence[str]:
     )
 
 
-def scale_bar(start: FloatArray, length_mm: int, *, upright: bool = False) -> list[Item]:
-    """Bar with a tick at every 10 mm, to the right or upwards."""
+def scale_bar(axes: Any, start: FloatArray, length_mm: int, *, upright: bool = False) -> None:
+    """Draw a bar with a tick at every 10 mm, to the right or upwards."""
     along = np.array([0.0, -1.0]) if upright else np.array([1.0, 0.0])
     aside = np.array([1.0, 0.0]) if upright else np.array([0.0, -1.0])
-    out: list[Item] = [DrawnLine(points=np.stack([start, start + length_mm * along]), width_mm=0.2)]
-    for tick in range(0, length_mm + 1, TICK_mm):
+    line(axes, np.stack([start, start + length_mm * along]), 0.2)
+    for tick in range(0, length_mm + 1, 10):
         foot = start + tick * along
-        out.append(DrawnLine(points=np.stack([foot, foot + 2.0 * aside]), width_mm=0.2))
+        line(axes, np.stack([foot, foot + 2.0 * aside]), 0.2)
     if not upright:
-        at = start + np.array([float(length_mm), 3.6])
-        out.append(Text(at=at, text=f"{length_mm} mm", size_mm=2.6, anchor="end"))
-    return out
+        end = start + np.array([float(length_mm), 3.6])
+        write(axes, end.tolist(), f"{length_mm} mm", 2.6, horizontalalignment="right")

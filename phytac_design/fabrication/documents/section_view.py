@@ -2,77 +2,54 @@
 
 import numpy as np
 
+from phytac_design.core.figures import svg
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.paint_map import INKS
-from phytac_design.fabrication.documents.sheet_drawing import (
-    DrawnLine,
-    Item,
-    Layer,
-    Page,
-    Text,
-    svg_text,
-)
+from phytac_design.fabrication.documents.paint_map import INKS, POINTS, sheet_of_paper, write
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
-from phytac_shapes.arrays import FloatArray
-
-SCALE = 8.0
-RESIN, RUBBER = "#d6d0c4", "#ecdeb0"
 
 
-def section_svg(design: Design, markers: Markers, switches: SwitchSet) -> str:
+def section_svg(
+    design: Design, markers: Markers, switches: SwitchSet, *, scale: float = 8.0
+) -> str:
     """SVG of the section of a receptor of median height: outer face on top, tube downwards."""
     around_mm = 4.5  # half of the wall that is shown
+    resin, rubber = "#d6d0c4", "#ecdeb0"
     marker = int(np.argsort(markers.height_mm, kind="stable")[markers.count // 2])
     kind = (int(switches.bowl[marker]), int(switches.length[marker]))
     wall, tall = design.wall.thickness_mm, float(markers.height_mm[marker])
-    outer, hole = (
-        0.5 * design.receptor.diameter_outer_mm,
-        0.5 * design.receptor.diameter_hole_mm,
-    )
+    receptor, colour = design.receptor, design.layout.colours[markers.colour[marker]]
+    outer, hole = 0.5 * receptor.diameter_outer_mm, 0.5 * receptor.diameter_hole_mm
     profile = switches.profile(kind)
     top = float(profile[:, 1].max())
     half = max(around_mm, 0.5 * design.switch.footprint_diameter_mm + 1.5)
-    band = min(design.receptor.band_marker_mm, tall)
-    end = wall + tall
-    paint = INKS[design.layout.colours[markers.colour[marker]]]
-    items: list[Item] = []
+    band, end = min(receptor.band_marker_mm, tall), wall + tall
+    width, height = scale * (2.0 * half + 14.0), scale * (top + end + 3.0)
+    figure, axes = sheet_of_paper(width, height)
+    # In millimetres of the receptor: its axis at x = 0, the outer face at y = 0.
+    axes.set(xlim=(-half - 1.0, half + 13.0), ylim=(end + 1.5, -top - 1.5))
+
+    def fill(points: list[tuple[float, float]], ink: str) -> None:
+        axes.fill(*np.transpose(points), facecolor=ink, edgecolor="#000000", linewidth=0.2 * POINTS)
+
     for side in (-1.0, 1.0):
-        items.append(_box(side, (hole, half), (0.0, wall), RESIN))
-        items.append(_box(side, (hole, outer), (wall, end - band), RESIN))
-        items.append(_box(side, (hole, outer), (end - band, end), paint))
-    stem = profile[-2:]
-    points = np.concatenate([profile, profile[::-1] * [-1.0, 1.0]]) * [1.0, -1.0]
-    items.append(DrawnLine(points=points, closed=True, fill=RUBBER, width_mm=0.02))
-    radius, deep = float(stem[0, 0]), -float(stem[0, 1])
-    items.append(_box(1.0, (-radius, radius), (deep - 1.0, deep), INKS["red"]))
-    shift = np.array([half + 1.0, top + 1.5])
-    scaled = [_scaled(item.moved(shift)) for item in items]
-    width, height = SCALE * (2.0 * half + 14.0), SCALE * (top + end + 3.0)
-    words = [
-        (0.0, -0.6 * top, f"switch {switches.label(kind)}, bowl outside"),
-        (0.0, 0.5 * wall, "glue under the bowl's rim"),
-        (0.0, end - 0.5 * band, f"painted {design.layout.colours[markers.colour[marker]]}"),
-        (0.0, end + 0.9, "red tip, towards the inside"),
-    ]
-    at = [SCALE * np.array([2.0 * half + 2.0, y + shift[1]]) for _, y, _ in words]
-    texts = [Text(at=a, text=w[2], size_mm=5.0) for a, w in zip(at, words, strict=True)]
-    page = Page(width_mm=width, height_mm=height, layers=[Layer(items=[*scaled, *texts])])
-    return svg_text(page)
-
-
-def _box(
-    side: float, across: tuple[float, float], deep: tuple[float, float], fill: str
-) -> DrawnLine:
-    (x0, x1), (y0, y1) = across, deep
-    points = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) * [side, 1.0]
-    return DrawnLine(points=points, closed=True, fill=fill, width_mm=0.02)
-
-
-def _scaled(item: Item) -> Item:
-    if not isinstance(item, DrawnLine):
-        return item
-    points: FloatArray = item.points * SCALE
-    return DrawnLine(
-        points=points, closed=item.closed, stroke=item.stroke, fill=item.fill, width_mm=0.2
+        for far, low, high, ink in (
+            (half, 0.0, wall, resin),
+            (outer, wall, end - band, resin),
+            (outer, end - band, end, INKS[colour]),
+        ):
+            x0, x1 = side * hole, side * far
+            fill([(x0, low), (x1, low), (x1, high), (x0, high)], ink)
+    fill([*(profile * [1.0, -1.0]), *(profile[::-1] * [-1.0, -1.0])], rubber)
+    radius, deep = float(profile[-2, 0]), -float(profile[-2, 1])
+    tip = [(-radius, deep - 1.0), (radius, deep - 1.0), (radius, deep), (-radius, deep)]
+    fill(tip, INKS["red"])
+    words = (
+        (-0.6 * top, f"switch {switches.label(kind)}, bowl outside"),
+        (0.5 * wall, "glue under the bowl's rim"),
+        (end - 0.5 * band, f"painted {colour}"),
+        (end + 0.9, "red tip, towards the inside"),
     )
+    for y, text in words:
+        write(axes, (half + 1.0, y), text, 5.0)
+    return svg(figure)

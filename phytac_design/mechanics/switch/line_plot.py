@@ -1,11 +1,11 @@
 """Line plots of switches as SVG."""
 
 from collections.abc import Mapping, Sequence
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
+from phytac_design.core.figures import new_figure, svg
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import OutputError
 
@@ -32,29 +32,21 @@ def line_plot(
     marks : sequence of (x, y, text)
         Points to name.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    # Text stays text, and the same input gives the same bytes.
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "phytac"}):
-        figure = Figure(figsize=(7.2, 4.4), layout="constrained")
-        axes = figure.subplots()
-        for (name, (x, y)), colour in zip(lines.items(), COLOURS, strict=False):
-            axes.plot(x, y, color=colour, label=name)
-        for *place, text in marks:
-            axes.plot(*place, "ko")
-            axes.annotate(text, (place[0], place[1]), (7, 7), textcoords="offset points")
-        top = max(float(np.max(y)) for _, y in lines.values())
-        axes.set(xlabel=labels[0], ylabel=labels[1], title=title)
-        # The names are in the upper right corner: lines end below them.
-        axes.set_xlim(0.0)
-        axes.set_ylim(0.0, (1.06 + 0.055 * len(lines)) * top)
-        axes.grid(visible=True, color="#ddd")
-        axes.legend(loc="upper right", labelcolor="linecolor", frameon=False, handlelength=0.0)
-        file = StringIO()
-        figure.savefig(file, format="svg", metadata={"Date": None})
-    out = file.getvalue()
-    return out[out.index("<svg") :]
+    figure = new_figure((7.2, 4.4))
+    axes = figure.subplots()
+    for (name, (x, y)), colour in zip(lines.items(), COLOURS, strict=False):
+        axes.plot(x, y, color=colour, label=name)
+    for *place, text in marks:
+        axes.plot(*place, "ko")
+        axes.annotate(text, (place[0], place[1]), (7, 7), textcoords="offset points")
+    top = max(float(np.max(y)) for _, y in lines.values())
+    axes.set(xlabel=labels[0], ylabel=labels[1], title=title)
+    # The names are in the upper right corner: lines end below them.
+    axes.set_xlim(0.0)
+    axes.set_ylim(0.0, (1.06 + 0.055 * len(lines)) * top)
+    axes.grid(visible=True, color="#ddd")
+    axes.legend(loc="upper right", labelcolor="linecolor", frameon=False, handlelength=0.0)
+    return svg(figure)
 
 
 def check_svg(path: Path) -> None:
