@@ -47,12 +47,8 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_design.engine.stage import Context
 from phytac_design.training.training_data import DataSet
 
-COUNTS = (25, 50, 100, 150, 300, 598)
-"""Samples of the learning curve."""
 ENOUGH = 150
 PAPER_PERCENT = 2.3
-DRAWS = 3
-"""Draws of so many samples that a point of the curve is the mean of."""
 CURVE = ("fem_nn", "auto")
 CALIBRATION = 20
 CONTACTS = 1000
@@ -197,14 +193,15 @@ def add_rows_few(table: Table, *, quick: bool) -> None:
     """Learning curve of the paper's network and of ``auto``, from none on."""
     here = bench(units(quick=quick)[0])
     most = here.train.samples.count
-    counts = [n for n in COUNTS if n < most] + [most]
+    counts = [n for n in (25, 50, 100, 150, 300, 598) if n < most] + [most]
     errors: dict[tuple[str, Group], dict[int, float]] = {
         (name, group): {} for name in CURVE for group in (ALL, MIDDLE)
     }
     _curve_rows(table, here, "auto", 0, [here.judged(here.plain, names=["auto"])], errors)
     for count in counts[:1] if quick else counts:
         draws: list[Evaluation] = []
-        for draw in range(1 if quick or count == most else DRAWS):
+        # A point of the curve is the mean of three draws.
+        for draw in range(1 if quick or count == most else 3):
             data = random_subset(here.train, count, seed=draw)
             bundle, _ = train_decoder(here.plain, data, names=CURVE, seed=draw)
             draws.append(here.judged(bundle, names=CURVE))

@@ -19,10 +19,6 @@ from phytac_design.simulation.linear_response import motion_responses
 from phytac_design.training.locator_calibration import pressure_moments
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-QUIET_px = 0.05
-"""Markers that contacts move by less tell the noise: what mechanics leave out is far below it."""
-QUIET_LEAST = 10
-"""Readings of a coordinate from which on it has a noise of its own."""
 MEAN_SIZE = float(np.sqrt(2.0 / np.pi))
 """Mean of |error| over the standard deviation of a normal error."""
 
@@ -64,9 +60,11 @@ def noise_of(found: list[ContactDetection | None], samples: Samples) -> FloatArr
         if one is None:
             continue
         explained = one.shift_px.reshape(-1, 2)
-        quiet = np.linalg.norm(explained, axis=1) < QUIET_px
+        # Markers that contacts hardly move give the noise; errors of the mechanics are below it.
+        quiet = np.linalg.norm(explained, axis=1) < 0.05
         left[sample, quiet] = (samples.shift_px[sample] - explained)[quiet]
-    known = np.isfinite(left).sum(axis=0) >= QUIET_LEAST
+    # With fewer readings a coordinate has the noise of all.
+    known = np.isfinite(left).sum(axis=0) >= 10
     noise = np.full(known.shape, np.nan)
     # Median of |x| of a normal distribution is 0.6745 standard deviations.
     noise[known] = np.nanmedian(np.abs(left[:, known]), axis=0) / 0.6745

@@ -11,10 +11,6 @@ from phytac_decoder.vision.matching import nearest_same_colour_px
 from phytac_design.optics.paint import PAINTS, RESIN
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
-HIDDEN_SHARE = 0.2
-BUMP_px = 3.0
-GLARE_SHARE, GLARE_LEVELS = 0.06, 400.0
-"""Standard deviation of a glare over the frame's width, and its grey levels in the middle."""
 SHADE = 0.75
 """Brightness of paint that is drawn, over the full."""
 
@@ -89,7 +85,7 @@ class Sample:
 def hidden(sample: Sample) -> ImageArray:
     """A fifth of the markers painted over."""
     count = len(sample.bits)
-    chosen = sample.rng.choice(count, int(HIDDEN_SHARE * count), replace=False)
+    chosen = sample.rng.choice(count, int(0.2 * count), replace=False)
     return sample.erased(chosen.tolist(), None)
 
 
@@ -133,10 +129,11 @@ def glare(sample: Sample) -> ImageArray:
     """A bright blob over pressed markers."""
     height, width = sample.frame.shape[:2]
     x, y = sample.place_px[sample.pressed()]
-    size = GLARE_SHARE * width
+    size = 0.06 * width
     across = np.exp(-0.5 * ((np.arange(width) - x) / size) ** 2)
     down = np.exp(-0.5 * ((np.arange(height) - y) / size) ** 2)
-    light = (GLARE_LEVELS * down[:, None] * across).astype(np.float32)
+    # Grey levels in the middle of the glare.
+    light = (400.0 * down[:, None] * across).astype(np.float32)
     lit = np.clip(sample.frame + light[:, :, None], 0, 255)
     return np.asarray(lit, dtype=np.uint8)
 
@@ -156,7 +153,7 @@ def black(sample: Sample) -> ImageArray:
 def bumped(sample: Sample) -> ImageArray:
     """The camera has moved."""
     height, width = sample.frame.shape[:2]
-    move = np.array([[1.0, 0.0, BUMP_px], [0.0, 1.0, 0.0]])
+    move = np.array([[1.0, 0.0, 3.0], [0.0, 1.0, 0.0]])
     return np.asarray(cv2.warpAffine(sample.frame, move, (width, height)), dtype=np.uint8)
 
 

@@ -27,9 +27,6 @@ from phytac_design.workflows.train_decoder import MECHANICS
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 LEARNT = ("fem_nn", "fem_nn_identity", "auto")
-NEAR_MM = 5.0
-"""A contact found by motion alone is there if one was pressed within this distance."""
-LEVEL = 0.9
 
 
 def mechanics(design: Design, accuracy: Preset) -> Context:
@@ -115,11 +112,11 @@ class Claims:
         Contacts with a switch that was read which were found as two, or together with another.
     pressed_silent, found_silent : int
         Contacts that tripped no switch, in frames with one that is on, and those of them that
-        were found within ``NEAR_MM`` all the same.
+        were found within 5 mm all the same.
     claimed_silent : int
         Contacts found by motion alone.
     nothing_N, nothing_mm : (k,) float
-        Force of those of them without any pressed contact within ``NEAR_MM`` that tripped no
+        Force of those of them without any pressed contact within 5 mm that tripped no
         switch, and how far off the nearest contact is that did trip one.
     """
 
@@ -137,7 +134,7 @@ class Claims:
     @property
     def covered(self) -> float:
         """Share of truths within the intervals that claim 90 %."""
-        return interval_coverage(self.force_N, self.sd_N, self.truth_N, level=LEVEL)
+        return interval_coverage(self.force_N, self.sd_N, self.truth_N, level=0.9)
 
 
 def claims_of(
@@ -212,7 +209,7 @@ def _silent(
     claimed = [c for c in one.contacts if len(c.markers) == 0]
     found, nothing = np.zeros(len(quiet_mm), dtype=np.bool_), []
     for contact in claimed:
-        near = np.linalg.norm(quiet_mm - contact.point_mm, axis=1) <= NEAR_MM
+        near = np.linalg.norm(quiet_mm - contact.point_mm, axis=1) <= 5.0
         found |= near
         if not near.any():
             gap = np.linalg.norm(others_mm - contact.point_mm, axis=1).min(initial=np.inf)

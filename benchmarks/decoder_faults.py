@@ -29,11 +29,9 @@ from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
-DESIGN = "cylinder60"
 ESTIMATORS = ("koi_inverse", "auto")
 WRONG_SHARE, WRONG_N = 0.1, 0.3
 """A force is wrong that a fault changes by more than both."""
-TORN = "a frame torn"
 TRIES = 4
 """Frames after which a follower has found a press that came at once."""
 
@@ -196,7 +194,7 @@ def _add_fault(table: Table, fault: str, estimator: str, tally: FaultCounts) -> 
             f"follower {tally.followed}; last message: {tally.message or 'nothing'}"
         )
         table.add(row, tally.silent, "frames", tally.wrong, source, "== 0", note)
-    if fault == TORN:
+    if fault == "a frame torn":
         row = f"{where}: the same, by one who holds it against the frame before"
         source = (
             "as serve, live and decode do with recordings and cameras; rows that are the "
@@ -250,7 +248,7 @@ def _add_alarm(table: Table, label: str, bench: PressedSensor, estimator: str) -
 def add_rows(table: Table, *, quick: bool) -> None:
     """Lights, faults and false alarms; ``quick``: a smaller camera and few samples."""
     cv2.setNumThreads(1)
-    design = load_design(DESIGN)
+    design = load_design("cylinder60")
     if quick:
         half = {"width_px": 1296, "height_px": 972, "focal_px": design.camera.focal_px / 2.0,
                 "pixel_um": 2.0 * design.camera.pixel_um}  # fmt: skip

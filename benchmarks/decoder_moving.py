@@ -27,14 +27,7 @@ from phytac_shapes.arrays import FloatArray
 FPS = 480.0
 PERIOD_ms = 1e3 / FPS
 FRAMES = 96
-HIT_S, ON_S, RINGS_HZ, FADES_S, SLIPS_S = 0.1, 0.005, 55.0, 0.02, 0.01
-ALONG = (0.62, 0.88, 0.63, 0.38, 0.13)
-AROUND = (0.15, 0.62, 0.62, 0.62, 0.62)
-"""Thumb and four fingers, shares of length and circumference."""
-HELD_N = np.array([10.0, 6.5, 8.0, 8.0, 7.0])
-KICKED_N = np.array([9.0, 11.0, 5.0, -1.5, 6.0])
-SLIP_SHARE = 1.5 / 110.0
-RADIUS_mm = 6.0
+HIT_S = 0.1
 ROUNDS = 3
 
 
@@ -56,30 +49,36 @@ class DecodedFilm:
 
 def forces() -> FloatArray:
     """True force (frames, 5) N of each finger."""
+    # Thumb to little finger.
+    held_N = np.array([10.0, 6.5, 8.0, 8.0, 7.0])
+    kicked_N = np.array([9.0, 11.0, 5.0, -1.5, 6.0])
+    on_s, fades_s, rings_Hz = 0.005, 0.02, 55.0
     at = np.arange(FRAMES) / FPS
     grip = np.clip(at / 0.06, 0.05, 1.0) ** 2
     after = np.clip(at - HIT_S, 0.0, None)
-    pulse = np.where(after < ON_S, np.sin(np.pi * after / ON_S), 0.0)
-    kick = pulse + 0.5 * np.exp(-after / FADES_S) * np.sin(2.0 * np.pi * RINGS_HZ * after)
-    return np.asarray(np.maximum(np.outer(grip, HELD_N) + np.outer(kick, KICKED_N), 0.3))
+    pulse = np.where(after < on_s, np.sin(np.pi * after / on_s), 0.0)
+    kick = pulse + 0.5 * np.exp(-after / fades_s) * np.sin(2.0 * np.pi * rings_Hz * after)
+    return np.asarray(np.maximum(np.outer(grip, held_N) + np.outer(kick, kicked_N), 0.3))
 
 
 def job(design: Design, *, quick: bool) -> Job:
     """The hand on the print that the decoder was trained on, a sample a frame."""
     true_N = forces()[:: FRAMES // 8] if quick else forces()
     at = np.arange(FRAMES)[:: FRAMES // 8] / FPS if quick else np.arange(FRAMES) / FPS
-    slid = SLIP_SHARE * (1.0 - np.exp(-np.clip(at - HIT_S, 0.0, None) / SLIPS_S))
+    # Thumb and four fingers, shares of length and circumference.
+    along, around = (0.62, 0.88, 0.63, 0.38, 0.13), (0.15, 0.62, 0.62, 0.62, 0.62)
+    slid = 1.5 / 110.0 * (1.0 - np.exp(-np.clip(at - HIT_S, 0.0, None) / 0.01))
     touches = [
         {
             "sample": k,
-            "along": ALONG[finger] + float(slid[k]),
-            "around": AROUND[finger],
+            "along": along[finger] + float(slid[k]),
+            "around": around[finger],
             "force_N": float(true_N[k, finger]),
-            "radius_mm": RADIUS_mm,
+            "radius_mm": 6.0,
             "indenter": "sphere",
         }
         for k in range(len(true_N))
-        for finger in range(len(ALONG))
+        for finger in range(len(along))
     ]
     scenario = {
         "name": "stroke",

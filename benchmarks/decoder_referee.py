@@ -37,9 +37,6 @@ from phytac_design.training.training_data import DataSet
 from phytac_shapes.arrays import FloatArray
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
-NOISE_FACTOR = float(np.sqrt(2.0))
-"""A shift is the difference of two positions."""
-SEED = 5
 
 
 def shifts_px(context: Context, item: Solved) -> FloatArray:
@@ -66,7 +63,7 @@ def shifts_px(context: Context, item: Solved) -> FloatArray:
 def samples_of(context: Context, solved: list[Solved]) -> Samples:
     """Solved contacts as samples of the sensor."""
     design = context.design
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(5)
     sizes = [len(item.contact.uv) for item in solved]
     contacts = Contacts.flat(
         sample=np.repeat(np.arange(len(solved)), sizes),
@@ -77,7 +74,8 @@ def samples_of(context: Context, solved: list[Solved]) -> Samples:
     )
     state = switch_states(context.sensor, contacts)
     shift = np.stack([shifts_px(context, item) for item in solved])
-    shift += rng.normal(0.0, NOISE_FACTOR * design.camera.noise_centroid_px, shift.shape)
+    # A shift is the difference of two positions.
+    shift += rng.normal(0.0, float(np.sqrt(2.0)) * design.camera.noise_centroid_px, shift.shape)
     count, number = len(solved), len(contacts.sample)
     total = np.zeros(count)
     np.add.at(total, contacts.sample, contacts.force_N)

@@ -25,9 +25,6 @@ from phytac_shapes.arrays import ImageArray
 DESIGN = "cylinder60"
 FPS = 480.0
 PERIOD_MS = 1000.0 / FPS
-PATIENCE_S = 2.0
-SOAK_S, ALONE_S = 600.0, 60.0
-"""Seconds that the stream runs, and that its loop does alone before."""
 WARM_SHARE = 0.2
 """Memory counts as settled after this share of the soak."""
 STAND_IN = (
@@ -179,16 +176,15 @@ def add_stalled(table: Table, folder: Path, *, quick: bool) -> Bundle:
 
 def add_soak(table: Table, bundle: Bundle, *, quick: bool) -> None:
     """480 frames a second to nine who read and one who stalls."""
-    seconds = 3.0 if quick else SOAK_S
-    alone_s = min(seconds / 3.0, ALONE_S)
+    seconds = 3.0 if quick else 600.0
+    # The loop alone first, without a server.
+    alone_s = min(seconds / 3.0, 60.0)
     messages = MessageBuilder(bundle=bundle, estimator="stand-in")
     alone = Ticks(alone_s)
     Stream(source=alone, decode=made_up(bundle), messages=messages, publish=lambda _: None).run()
     started_s, source = time.monotonic(), Ticks(seconds)
     with (
-        StreamServer(
-            messages.hello(), port=0, limits=ClientLimits(patience_s=PATIENCE_S)
-        ) as server,
+        StreamServer(messages.hello(), port=0, limits=ClientLimits(patience_s=2.0)) as server,
         clients(server, started_s, stalled=1) as heard,
     ):
         stream = Stream(

@@ -29,13 +29,8 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
-SIZE_IN = (12.0, 9.0)
 DOT, MARKER = 11.0, 22.0
 """Areas of a piece of the surface and of a marker on the maps, points²."""
-BAR = (1.03, 0.0, 0.045, 1.0)
-"""Colour bar in shares of its map: beside it and as tall."""
-FLAT_MM = 1e-6
-BYTES_MAX = 150_000
 FORCE_N = 10
 STAGES = ("resolution",)
 
@@ -62,7 +57,7 @@ def results_of(name: str) -> Context:
 def gallery_image(context: Context) -> ImageArray:
     """Four pictures of a design in one, (h, w, 3) BGR."""
     design, markers, surface = context.design, context.markers, context.surface
-    figure, axes = plt.subplots(2, 2, figsize=SIZE_IN, layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(12.0, 9.0), layout="constrained")
     picture = cv2.imread(str(context.folders["views"] / EXPORT / "views" / "camera.png"))
     axes[0, 0].imshow(np.asarray(picture)[:, :, ::-1])
     axes[0, 0].set_axis_off()
@@ -71,7 +66,7 @@ def gallery_image(context: Context) -> ImageArray:
     pieces, dots = (flat_map.flat_map(surface, uv) for uv in (local.uv, markers.uv))
     colours = [design.layout.colours[k % len(design.layout.colours)] for k in markers.colour]
     low, high = markers.height_mm.min(), markers.height_mm.max()
-    heights = f"{low:.3g} mm" if high - low < FLAT_MM else f"{low:.3g} to {high:.3g} mm"
+    heights = f"{low:.3g} mm" if high - low < 1e-6 else f"{low:.3g} to {high:.3g} mm"
 
     def draw(axis: Any, title: str, values: FloatArray | None, label: str = "") -> None:
         if values is None:
@@ -81,7 +76,8 @@ def gallery_image(context: Context) -> ImageArray:
             fill = axis.scatter(
                 *pieces.points.T, c=shown, s=DOT, marker="s", linewidths=0, vmin=0.0, cmap="viridis"
             )
-            figure.colorbar(fill, cax=axis.inset_axes(BAR), label=label)
+            # Beside the map and as tall, in shares of it.
+            figure.colorbar(fill, cax=axis.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)
         size = MARKER if values is None else MARKER / 5.0
         axis.scatter(*dots.points.T, color=[report_figures.INK[name] for name in colours], s=size)
         report_figures.draw_map(axis, dots)
@@ -99,12 +95,12 @@ def gallery_image(context: Context) -> ImageArray:
 
 
 def write_gallery(name: str, folder: Path = FOLDER) -> Path:
-    """Write ``gallery_NAME.jpg``, as sharp as ``BYTES_MAX`` allows."""
+    """Write ``gallery_NAME.jpg``, as sharp as 150 kB allow."""
     image = gallery_image(results_of(name))
     path = folder / f"gallery_{name}.jpg"
     for quality in range(88, 30, -6):
         data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-        if len(data) < BYTES_MAX:
+        if len(data) < 150_000:
             break
     path.write_bytes(bytes(data))
     return path

@@ -38,7 +38,6 @@ from phytac_shapes.arrays import FloatArray
 TRUTH = ShellParameters(modulus=2050.0, thickness=0.86, poisson=0.36)
 TRUTH_VALUES = np.array(astuple(TRUTH))
 PEAK_MM = 0.06
-NOISE_RELATIVE, NOISE_FLOOR_MM, NOISE_FORCE = 0.05, 0.0005, 0.01
 RADII_MM = (3.0, 8.0)
 SOURCE = "synthetic data of a finer mesh, 5 % noise"
 
@@ -107,9 +106,9 @@ def measured(rows: Measurements, per_newton: FloatArray, seed: int) -> Measureme
     np.maximum.at(peak, press, per_newton)
     force = (PEAK_MM / peak)[press]
     n = len(press)
-    moved = force * per_newton * (1.0 + NOISE_RELATIVE * rng.standard_normal(n))
-    read = force * (1.0 + NOISE_FORCE * rng.standard_normal(len(peak)))[press]
-    moved += NOISE_FLOOR_MM * rng.standard_normal(n)
+    moved = force * per_newton * (1.0 + 0.05 * rng.standard_normal(n))
+    read = force * (1.0 + 0.01 * rng.standard_normal(len(peak)))[press]
+    moved += 0.0005 * rng.standard_normal(n)
     return replace(rows, force_N=read, displacement_mm=moved)
 
 

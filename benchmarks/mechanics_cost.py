@@ -23,9 +23,6 @@ from phytac_shapes import Cylinder
 SIZES = ((36, 48), (62, 84), (114, 150), (200, 260), (370, 450))
 """Elements along and around: 10⁴ to 10⁶ DOF."""
 PARTS = ("elements", "assembly", "factorisation", "one solve")
-MEMORY_GiB = 16.0
-"""Address space of a child beyond which it gives up; it uses some three quarters of that."""
-LIMIT_S = 1800.0
 MODULUS_MPa, POISSON = 2200.0, 0.38
 
 
@@ -37,7 +34,7 @@ def python(*arguments: str) -> str:
         capture_output=True,
         text=True,
         check=True,
-        timeout=LIMIT_S,
+        timeout=1800.0,
         cwd=Path(__file__).parents[1],
     )
     return run.stdout
@@ -76,7 +73,8 @@ def solver(table: Table, *, quick: bool) -> None:
 def measure(along: int, around: int) -> dict[str, Any]:
     """Seconds of each part and peak memory of one size, in this process."""
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (int(MEMORY_GiB * 2**30), hard))
+    # The child gives up beyond 16 GiB of address space; it uses some three quarters of it.
+    resource.setrlimit(resource.RLIMIT_AS, (int(16.0 * 2**30), hard))
     mesh = _mesh(along, around)
     seconds: dict[str, float] = {}
 

@@ -30,7 +30,6 @@ from verification.quadratic_shell import quadratic_mesh, quadratic_patch
 
 RADIUS_MM = 6.0
 CENTRE = np.array([60.0, np.pi])
-CORE_MM = 12.0
 ERRORS = (0.01, 0.003)
 OURS = [(10 * k, 12 * k) for k in (4, 6, 7, 8, 9, 10, 12, 14, 16, 18)]
 THEIRS = [(2 * k, 2 * round(1.2 * k)) for k in (7, 8, 10, 12, 14, 16, 18, 21, 25)]
@@ -41,10 +40,7 @@ GRADED_PAIRS_THEIRS = [(h, h / 20.0) for h in (16.0, 12.0, 10.0, 8.0, 6.0, 4.0)]
 GRADED_THEIRS = [(8.0, 0.4), (6.0, 0.3), (5.0, 0.25), (4.0, 0.2), (3.0, 0.15), (2.0, 0.1)]
 FINEST = ((56, 68), (28, 34))
 """Meshes of S8R that its limits are extrapolated from."""
-SOME = [0, 25, 50, 75, 99]
 STEPS = 11
-REPEAT_S = 3.0
-"""Shorter runs are repeated."""
 Size = tuple[Any, Any]
 
 
@@ -81,7 +77,7 @@ class Shell:
             self.surface,
             thickness_mm=self.thickness_mm,
             centre_uv=CENTRE,
-            core_mm=CORE_MM,
+            core_mm=12.0,
             size_mm=size[0],
             growth=size[1],
         )
@@ -149,7 +145,8 @@ def _cheapest(
         if all(abs(solve(each).peak / limit - 1.0) <= error for each in (size, finer)):
             first = solve(size)
             again = getattr(solve, "__wrapped__", solve)
-            repeats = 2 if first.seconds < REPEAT_S else 0
+            # Shorter runs are repeated.
+            repeats = 2 if first.seconds < 3.0 else 0
             runs = sorted([first, *(again(size) for _ in range(repeats))], key=_seconds)
             return runs[len(runs) // 2], size
     return None
@@ -253,7 +250,7 @@ def _their_means(shell: Shell, size: Size, uv: FloatArray) -> tuple[FloatArray, 
 def many_loads(table: Table, shell: Shell) -> None:
     """A hundred patches all over the shell: ours with one factor, theirs with a step each."""
     uv = sites(100)
-    some = uv[SOME]
+    some = uv[[0, 25, 50, 75, 99]]
     limit = _limit(_hundred(shell, size, uv)[0] for size in ((120, 144), (60, 72)))
     their_limit = _limit(_their_means(shell, size, some)[0] for size in FINEST)
 

@@ -31,10 +31,6 @@ JITTER_MM = 1.0
 """A contact on a receptor is off its axis by at most this, along and around."""
 RIM_MM = (2.0, 10.0)
 """Distance of the centre from the rim of contacts near it, along the wall."""
-INNER_MM = 12.0
-"""Other contacts keep this distance."""
-APART_MM = 4.0
-"""Between the patches of one contact of several."""
 MOST = 4
 TRIES = 1000
 DECIMALS = 6
@@ -93,7 +89,8 @@ def _draw(
         uv = _place(surface, markers, on, rng)
         point = surface.point(uv[None])[0]
         radius = float(rng.uniform(*RADII_MM))
-        if all(np.linalg.norm(point - p) > radius + r + APART_MM for _, p, r, _ in placed):
+        # Patches of one contact keep 4 mm between them.
+        if all(np.linalg.norm(point - p) > radius + r + 4.0 for _, p, r, _ in placed):
             low, high = BINS_N[(number + len(placed)) % len(BINS_N)]
             placed.append((uv, point, radius, float(rng.uniform(low, high))))
     force = [f for _, _, _, f in placed]
@@ -127,7 +124,8 @@ def _place(surface: Surface, markers: Markers, kind: str, rng: np.random.Generat
             gap = float(rng.uniform(*RIM_MM)) / stretch
             return np.array([u0 + gap if rng.random() < 0.5 else u1 - gap, uv[1]])
         stretch = float(np.sqrt(surface.metric(uv[None])[0, 0, 0]))
-        if min(uv[0] - u0, u1 - uv[0]) * stretch > INNER_MM and v0 <= uv[1] <= v1:
+        # Contacts that are not at a rim keep 12 mm from it.
+        if min(uv[0] - u0, u1 - uv[0]) * stretch > 12.0 and v0 <= uv[1] <= v1:
             return uv
     raise DesignError(
         "referee-contact-no-room",

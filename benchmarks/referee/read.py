@@ -27,8 +27,6 @@ MOTION_MIN_SHARE = 1e-3
 STEPS = 30_000
 """The largest component of an array is this many steps."""
 ARRAYS = ("ids", "motion", "kept", "turn")
-PLACE_mm = 1e-5
-"""Markers are the same within this."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +71,8 @@ class Solved:
 
 def sensor_hash(design: Design, markers: Markers) -> str:
     """Hash of what the mechanics of a sensor depend on: wall, material, receptors' places."""
-    places = np.rint(np.concatenate([markers.mid_mm, markers.tip_mm]) / PLACE_mm).astype("<i8")
+    # Places count as the same within 1e-5 mm.
+    places = np.rint(np.concatenate([markers.mid_mm, markers.tip_mm]) / 1e-5).astype("<i8")
     facts = {
         "shape": design.shape.model_dump(mode="json"),
         "thickness_mm": design.wall.thickness_mm,

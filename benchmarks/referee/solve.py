@@ -31,11 +31,6 @@ from verification.calculix import ccx_version, read_convergence, run_ccx, write_
 from verification.partial_solid import AS_TABLES, PartMesh, PartSizes, part_mesh
 from verification.tip_motion import tips_motion, tips_turn
 
-RULES = 1
-"""Raise it when a change of this script makes solved contacts void."""
-NEAR_N = 6.0
-"""Up to this force the load is tried in one increment, beyond in ever larger ones from a half."""
-FACTOR_TOL = 1e-6
 SEVERAL = 3
 """Contacts of more patches are solved after all others."""
 REACHES = (1.0, 1.06, 0.94, 1.12)
@@ -74,7 +69,8 @@ def sizes_for(design: Design, contact: Contact) -> PartSizes:
 def input_key(this: Sensor, contact: Contact, sizes: PartSizes) -> str:
     """Hash of all that a solution depends on but versions of programs."""
     text = json.dumps(
-        [RULES, sensor_hash(this.design, this.markers), asdict(contact), asdict(sizes)]
+        # The first number is raised when a change of this script makes solved contacts void.
+        [1, sensor_hash(this.design, this.markers), asdict(contact), asdict(sizes)]
     )
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -136,11 +132,12 @@ def solve_contact(
             load=load,
             name=design.name,
             large=True,
-            first=1.0 if max(contact.force_N) <= NEAR_N else 0.5,
+            # Large loads begin with a half.
+            first=1.0 if max(contact.force_N) <= 6.0 else 0.5,
         )
         tables = run_ccx(path)
         went = asdict(read_convergence(path))
-    if abs(went["factor"] - 1.0) > FACTOR_TOL:
+    if abs(went["factor"] - 1.0) > 1e-6:
         raise NumericalError(
             "calculix-stopped-early",
             f"ccx stopped at {went['factor']:.4g} of the load of contact {index}",
