@@ -5,7 +5,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,19 +19,10 @@ from phytac_decoder.pipeline.frame_reading import Reading, marker_loads, nearest
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError, cause_of
 
-FORMAT = "phytac-stream"
-VERSION = "1.3"
 FRAMINGS = ("lines", "length")
 """JSON lines, or each message after its length in bytes (4 bytes, big-endian)."""
 MESSAGE_MAX_BYTES = 1 << 24
 """A longer message means a broken stream."""
-FORCE_LIMIT_N = 1e6
-"""A larger force is an error of the computation."""
-FORCE_DIGITS = 4
-POSITION_DIGITS = 3
-SIZE_DIGITS = 2
-TIME_DIGITS = 6
-UNITS = {"force": "N", "length": "mm", "time": "s", "latency": "ms", "frame": "sensor"}
 
 Message = dict[str, Any]
 
@@ -58,6 +49,9 @@ class MessageBuilder:
     regions : sequence of Region
         See :func:`phytac_decoder.estimation.force_regions.load_regions`.
     """
+
+    force_limit_N: ClassVar[float] = 1e6
+    """A larger force is an error of the computation."""
 
     bundle: Bundle
     estimator: str
@@ -96,18 +90,24 @@ class MessageBuilder:
         bundle = self.bundle
         out: Message = {
             "type": "hello",
-            "format": FORMAT,
-            "version": VERSION,
+            "format": "phytac-stream",
+            "version": "1.3",
             "design": bundle.design,
             "design_hash": bundle.design_hash,
             "estimator": self.estimator,
             "source": self.source,
             "clock": self.clock,
-            "started_unix_s": round(self.started_unix_s, TIME_DIGITS),
+            "started_unix_s": round(self.started_unix_s, 6),
             "cameras": len(bundle.cameras),
             "markers": len(bundle.position_mm),
             "force_max_N": float(bundle.force_max_N),
-            "units": UNITS,
+            "units": {
+                "force": "N",
+                "length": "mm",
+                "time": "s",
+                "latency": "ms",
+                "frame": "sensor",
+            },
             "limits": bundle.limits(),
         }
         if self.regions:
@@ -115,7 +115,7 @@ class MessageBuilder:
                 {"name": region.name, "markers": list(region.markers)} for region in self.regions
             ]
         if positions:
-            out["positions_mm"] = np.round(bundle.position_mm, POSITION_DIGITS).tolist()
+            out["positions_mm"] = np.round(bundle.position_mm, 3).tolist()
         return out
 
     def frame(
@@ -148,7 +148,7 @@ class MessageBuilder:
         """
         forces, koi = reading.forces_N, reading.koi
         # False for NaN.
-        good = np.abs(forces[koi]) <= FORCE_LIMIT_N
+        good = np.abs(forces[koi]) <= self.force_limit_N
         warnings, broken = list(reading.warnings), koi[~good]
         if len(broken):
             warnings.append(
@@ -163,14 +163,14 @@ class MessageBuilder:
         out: Message = {
             "type": "frame",
             "sequence": sequence,
-            "timestamp_s": _rounded(timestamp_s, TIME_DIGITS),
-            "decoded_s": _rounded(decoded_s, TIME_DIGITS),
+            "timestamp_s": _rounded(timestamp_s, 6),
+            "decoded_s": _rounded(decoded_s, 6),
             "latency_ms": _rounded(latency_ms, 3),
             "valid": reading.valid and not len(broken),
-            "total_N": _rounded(pressed.force_N.sum(), FORCE_DIGITS),
+            "total_N": _rounded(pressed.force_N.sum(), 4),
             "contacts": self._contacts(reading, koi, timestamp_s),
             "koi": koi.tolist(),
-            "forces_N": np.round(forces[koi], FORCE_DIGITS).tolist(),
+            "forces_N": np.round(forces[koi], 4).tolist(),
             "warnings": warnings,
             "missed": missed,
         }
@@ -179,11 +179,11 @@ class MessageBuilder:
         if self.outward is not None:
             # Pressing acts along the inward normal.
             net = -(pressed.force_N @ self.outward[pressed.markers])
-            out["net_force_N"] = [_rounded(part, FORCE_DIGITS) for part in net]
+            out["net_force_N"] = [_rounded(part, 4) for part in net]
         if self.regions:
             sums = self.region_forces.of(pressed.markers, pressed.force_N)
             out["regions"] = [
-                {"name": region.name, "force_N": _rounded(force, FORCE_DIGITS)}
+                {"name": region.name, "force_N": _rounded(force, 4)}
                 for region, force in zip(self.regions, sums, strict=True)
             ]
         if imu is not None:
@@ -205,14 +205,14 @@ class MessageBuilder:
     def _contact(self, contact: Contact, forces_N: FloatArray) -> Message:
         out: Message = {
             "markers": list(contact.markers),
-            "force_N": _rounded(contact.force_N, FORCE_DIGITS),
-            "position_mm": [_rounded(part, POSITION_DIGITS) for part in contact.position_mm],
+            "force_N": _rounded(contact.force_N, 4),
+            "position_mm": [_rounded(part, 3) for part in contact.position_mm],
             "id": contact.id,
-            "size_mm": _rounded(contact.size_mm, SIZE_DIGITS),
-            "since_s": _rounded(contact.since_s, TIME_DIGITS),
+            "size_mm": _rounded(contact.size_mm, 2),
+            "since_s": _rounded(contact.since_s, 6),
         }
         if contact.sd_N is not None:
-            out["sd_N"] = _rounded(contact.sd_N, FORCE_DIGITS)
+            out["sd_N"] = _rounded(contact.sd_N, 4)
         if self.regions:
             markers = list(contact.markers)
             if not markers:
@@ -224,7 +224,8 @@ class MessageBuilder:
 
 def _is_sound(located: LocatedContact) -> bool:
     others = [located.sd_N, located.radius_mm, *located.point_mm]
-    return abs(located.force_N) <= FORCE_LIMIT_N and bool(np.isfinite(others).all())
+    limit_N = MessageBuilder.force_limit_N
+    return abs(located.force_N) <= limit_N and bool(np.isfinite(others).all())
 
 
 def _as_found(located: LocatedContact) -> Contact:
@@ -291,9 +292,6 @@ def check_framing(framing: str) -> None:
         )
 
 
-HINT = "read it in the format that phytac serve was given (--format)"
-
-
 class MessageSplitter:
     """Splits bytes that arrive in pieces of any size into messages.
 
@@ -306,58 +304,46 @@ class MessageSplitter:
     def __init__(self, framing: str) -> None:
         check_framing(framing)
         self._framing = framing
-        self._held = bytearray()
+        self._held = b""
 
     def feed(self, data: bytes) -> list[Message]:
         """Messages that these bytes complete; raises InputError if they are no stream."""
         self._held += data
         out = []
-        while (text := self._next()) is not None:
-            out.append(_parsed(text))
+        try:
+            while (text := self._next()) is not None:
+                out.append(_parsed(text))
+        except (ValueError, RecursionError) as error:
+            raise InputError(
+                "message-invalid",
+                f"not a message of a stream: {cause_of(error)}; read it in the format that phytac "
+                "serve was given (--format)",
+            ) from None
         return out
 
     def _next(self) -> bytes | None:
-        held = self._held
+        """The next whole message; None if it has not all come."""
         if self._framing == "lines":
-            start, end = 0, held.find(b"\n")
-            length = len(held) if end < 0 else end
-            after = end + 1
-            ready = end >= 0
+            text, end, rest = self._held.partition(b"\n")
+            whole, length = bool(end), len(text)
         else:
-            if len(held) < 4:
-                return None
-            start, (length,) = 4, struct.unpack(">I", held[:4])
-            end = after = 4 + length
-            ready = len(held) >= end
+            head, rest = self._held[:4], self._held[4:]
+            length = struct.unpack(">I", head)[0] if len(head) == 4 else 0
+            whole = len(head) == 4 and len(rest) >= length
+            text, rest = rest[:length], rest[length:]
         if length > MESSAGE_MAX_BYTES:
-            raise InputError(
-                "message-too-long",
-                f"a message of {length} bytes or more; is this a stream in the format "
-                f"{self._framing!r} of phytac serve? {HINT}",
-            )
-        if not ready:
+            raise ValueError(f"a message of {length} bytes or more")
+        if not whole:
             return None
-        text = bytes(held[start:end])
-        del held[:after]
+        self._held = rest
         return text
 
 
 def _parsed(text: bytes) -> Message:
-    try:
-        message = json.loads(text, parse_constant=_reject)
-    except ValueError as error:
-        raise InputError(
-            "message-invalid", f"not a message of a stream: {cause_of(error)}; {HINT}"
-        ) from None
-    except RecursionError:
-        raise InputError(
-            "message-invalid", f"not a message of a stream: nested too deeply; {HINT}"
-        ) from None
-    if not isinstance(message, dict) or not isinstance(message.get("type"), str):
-        raise InputError(
-            "message-invalid", f"not a message of a stream: no object with a 'type'; {HINT}"
-        )
-    return message
+    message = json.loads(text, parse_constant=_reject)
+    if isinstance(message, dict) and isinstance(message.get("type"), str):
+        return message
+    raise ValueError("no object with a 'type'")
 
 
 def _reject(name: str) -> float:
