@@ -9,10 +9,10 @@ import pytest
 
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
+from phytac_design.geometry.boundary_loops import edge_distance_mm
 from phytac_design.layout import make_markers
 from phytac_design.layout.receptor_distances import smallest_receptor_gap_mm
 from phytac_design.rules.check import check_design
-from phytac_design.rules.receptor_spacing import edge_distance_mm
 from phytac_design.solids.receptor_tubes import receptor_axes
 from phytac_shapes.errors import DesignError
 from tests.test_layout_shapes import SHAPES, designed

@@ -19,9 +19,6 @@ from phytac_shapes.arrays import FloatArray, IntArray
 LENGTH_STEP_mm = 0.1
 """Stems are made in steps of this, well below what printers and glue repeat."""
 
-FINE = 400
-"""Points along each side of a bowl before those that a line needs are chosen."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class SwitchSet:
@@ -129,7 +126,8 @@ def switch_profile(
     From the middle of the pad over the bowl's outer side to its rim, back along the underside and
     down the stem, which tapers evenly to the tip.
     """
-    under, over, stem = walls(bowl, FINE, FINE)
+    fine = 400  # points along each side of a bowl before those that a line needs are chosen
+    under, over, stem = walls(bowl, fine, fine)
     side = stem[:, 0] <= 0.5 * bowl.stem_diameter_mm + 1e-9
     # The stem tapers from where its fillet begins.
     curl = stem[np.flatnonzero(side)[-1] :][::-1]

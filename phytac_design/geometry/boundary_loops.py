@@ -14,6 +14,7 @@ plane::
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -62,6 +63,26 @@ def conormals(surface: Surface, uv: FloatArray, axis: int, end: int) -> FloatArr
     out = own - np.einsum("ni,ni->n", own, along)[:, None] * along
     out = out / np.linalg.norm(out, axis=1, keepdims=True)
     return np.asarray(out if end == 1 else -out)
+
+
+def edge_distance_mm(surface: Surface, uv: FloatArray, axis: int, end: int) -> FloatArray:
+    """Distance in space (n,) from points of the outer face to its edge (axis, end), mm.
+
+    From the nearest of many stations, by Gauss-Newton along the edge.
+    """
+    stations, iterations = 1025, 5
+    low, high = surface.domain[1 - axis]
+    points = surface.point(uv)
+    foot = np.full((stations, 2), surface.domain[axis, end])
+    foot[:, 1 - axis] = np.linspace(low, high, stations)
+    best, nearest = cKDTree(surface.point(foot)).query(points)
+    foot = foot[nearest]
+    for _ in range(iterations):
+        along, arm = surface.tangents(foot)[:, 1 - axis], points - surface.point(foot)
+        foot[:, 1 - axis] += np.sum(arm * along, axis=1) / np.sum(along**2, axis=1)
+        if not surface.periodic[1 - axis]:
+            foot[:, 1 - axis] = np.clip(foot[:, 1 - axis], low, high)
+    return np.minimum(best, np.linalg.norm(points - surface.point(foot), axis=1))
 
 
 def check_topology(surface: Surface) -> None:

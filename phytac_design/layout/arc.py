@@ -5,8 +5,6 @@ import numpy as np
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-CELLS = 1024
-"""Steps of the tables along u; interpolated they invert to about 1e-6 of the sensor."""
 AREA_U, AREA_V = 256, 32
 """Cells of the tables of area."""
 
@@ -19,10 +17,11 @@ def _shares(steps: FloatArray) -> FloatArray:
 
 def along_u(surface: Surface, shares: FloatArray) -> FloatArray:
     """Chart coordinates u (n,) at shares (n,) of the arc length along the middle of the chart."""
+    cells = 1024  # interpolated they invert to about 1e-6 of the sensor
     (u0, u1), (v0, v1) = surface.domain
-    edges = np.linspace(u0, u1, CELLS + 1)
+    edges = np.linspace(u0, u1, cells + 1)
     middle = (edges[:-1] + edges[1:]) / 2.0
-    at = np.column_stack([middle, np.full(CELLS, (v0 + v1) / 2.0)])
+    at = np.column_stack([middle, np.full(cells, (v0 + v1) / 2.0)])
     speed = np.sqrt(surface.metric(at)[:, 0, 0])
     if float(np.ptp(speed)) <= 1e-12 * float(speed.max()):
         return np.asarray(u0 + (u1 - u0) * shares)

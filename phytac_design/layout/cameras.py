@@ -15,11 +15,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-TOLERANCE_PX = 0.1
-"""Distance between polygons and the circles that they approximate, in pixels."""
-LEAST_SHARE = 0.05
-"""Stand-off, as a share of the rim's radius, that `fit` gives a lens too wide for it to fill."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Readers:
@@ -152,7 +147,7 @@ def fit_stand_off_mm(
 ) -> float:
     """Smallest stand-off at which a rim stays within ``fill`` of half the smaller image side.
 
-    Where it does so at any distance, as in a lens that looks back, ``LEAST_SHARE`` of its radius.
+    Where it does so at any distance, as in a lens that looks back, a twentieth of its radius.
 
     Parameters
     ----------
@@ -186,7 +181,7 @@ def _fitted(lens: Lens, rim_bytes: bytes, end: int, start_mm: float, fill: float
         return np.asarray(points + np.array([0.0, 0.0, distance - nearest]))
 
     found = fit_distance_mm(lens, reach, fill=fill, least_mm=nearest_share * widest)
-    return (found if found > nearest_share * widest else LEAST_SHARE * widest) - nearest
+    return (found if found > nearest_share * widest else 0.05 * widest) - nearest
 
 
 def _check_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> None:
@@ -244,14 +239,15 @@ def check_bar_clearance(design: Design, surface: Surface, markers: Markers) -> N
 
 
 def tolerance_mm(camera: Camera, markers: Markers) -> FloatArray:
-    """Tessellation tolerance of each receptor: ``TOLERANCE_PX`` pixels at its end face, (n,) mm."""
+    """Tessellation tolerance of each receptor: a tenth of a pixel at its end face, (n,) mm."""
+    tolerance_px = 0.1  # distance between polygons and the circles that they approximate, in pixels
     if isinstance(camera.lens, Pinhole):
         depth = camera.to_camera(markers.tip_mm)[:, 2]
-        return np.asarray(TOLERANCE_PX * np.maximum(depth, 1e-3) / camera.focal_px)
+        return np.asarray(tolerance_px * np.maximum(depth, 1e-3) / camera.focal_px)
     slope = camera.jacobian(markers.tip_mm)
     known = np.isfinite(slope).all(axis=(1, 2))
     scale = np.full(markers.count, np.nan)
     scale[known] = np.linalg.norm(slope[known], ord=2, axis=(1, 2))
     # Receptors beyond the lens's field show nothing; they are made as coarse as the coarsest.
     least = float(np.nanmin(scale, initial=camera.focal_px / 1e3))
-    return np.asarray(TOLERANCE_PX / np.where(np.isfinite(scale), scale, least))
+    return np.asarray(tolerance_px / np.where(np.isfinite(scale), scale, least))

@@ -13,20 +13,18 @@ from phytac_design.layout.worst_places import press_places
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-DENTS = 40
-"""Dents at most, spread over the surface."""
-
 
 def dent_motions(design: Design, surface: Surface, markers: Markers) -> FloatArray | None:
     """Translation (mm) and rotation (rad) under each marker (p, n, 6); None without a dent.
 
     Where rows are rings of equal markers dents in one sector represent all.
     """
+    dents = 40  # dents at most, spread over the surface
     layout = design.layout
     if layout.sight_dent_mm <= 0.0:
         return None
     level = np.zeros(markers.count)
-    uv = press_places(surface, markers, level, DENTS, repeats=_rings(markers))
+    uv = press_places(surface, markers, level, dents, repeats=_rings(markers))
     middle = surface.point(uv, -design.wall.thickness_mm / 2.0)
     away = markers.mid_mm[None] - middle[:, None]
     width = layout.sight_dent_radius_mm / 2.0

@@ -10,9 +10,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-REACH = 2.0
-"""A neighbour is at most this multiple of the median distance of the nearest six away."""
-
 
 def phyllotaxis(surface: Surface, count: int, *, inset_mm: float) -> FloatArray:
     """Chart places (count, 2), ordered along u: one after the other turned by the golden angle.
@@ -99,6 +96,8 @@ def sector_neighbours(surface: Surface, uv: FloatArray, normal: FloatArray) -> I
     Sectors are 45° wide in the tangent plane and centred on the directions of ``NEIGHBOUR_STEPS``,
     rows along u and columns along v.
     """
+    # A neighbour is at most this multiple of the median distance of the nearest six away.
+    reach = 2.0
     nearest = 32  # markers around one among which its eight neighbours are found
     n = len(uv)
     out = np.full((n, 8), -1, dtype=np.int64)
@@ -113,7 +112,7 @@ def sector_neighbours(surface: Surface, uv: FloatArray, normal: FloatArray) -> I
     facing = np.einsum("nki,ni->nk", normal[near], normal) > 0.0
     typical = np.median(distance[:, 1:7], axis=1)
     valid: BoolArray = (near != np.arange(n)[:, None]) & facing
-    valid &= distance <= REACH * typical[:, None]
+    valid &= distance <= reach * typical[:, None]
     sector = np.mod(np.rint(np.arctan2(y, x) / (np.pi / 4.0)), 8).astype(np.int64)
     for slot, (row, column) in enumerate(NEIGHBOUR_STEPS):
         wanted = int(np.rint(np.arctan2(row, column) / (np.pi / 4.0))) % 8

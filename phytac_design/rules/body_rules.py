@@ -19,10 +19,6 @@ TOUCH = 1e-6
 """Bodies that overlap by no more than this share of their size only touch."""
 FINE = 0.1
 """The wall is looked for to this share of its thickness between a body's corners."""
-PIECES_MAX = 100_000
-"""Pieces of a body's surface that are looked at: enough unless it runs close along a wall."""
-ONCE_HIT = 0.1
-"""Share of them that is looked at if the wall was met, for how deep it is."""
 
 
 def check_fixtures(sensor: Sensor) -> None:
@@ -90,12 +86,15 @@ def wall_overlap_mm(
     Pieces of triangles are halved wherever the wall may be nearer than they are large, down to
     ``FINE`` of the wall's thickness.
     """
+    once_hit = 0.1  # share of them that is looked at if the wall was met, for how deep it is
+    # Pieces of a body's surface that are looked at: enough unless it runs close along a wall.
+    pieces_max = 100_000
     thickness = design.wall.thickness_mm
     pieces = mesh.vertices_mm[mesh.triangles]
     depth, _ = _wall_depth_mm(surface, thickness, mesh.vertices_mm)
     best, place = float(depth.max()), mesh.vertices_mm[int(depth.argmax())]
     seen = 0
-    while len(pieces) and seen <= PIECES_MAX * (ONCE_HIT if best > 0.0 else 1.0):
+    while len(pieces) and seen <= pieces_max * (once_hit if best > 0.0 else 1.0):
         seen += len(pieces)
         middle = pieces.mean(axis=1)
         size = np.linalg.norm(pieces - middle[:, None], axis=2).max(axis=1)

@@ -26,13 +26,6 @@ from phytac_design.optics.visibility import (
 from phytac_design.rules.check import check_design
 from phytac_shapes.arrays import BoolArray, IntArray
 
-WIDE_DEG = 60.0
-"""A camera that sees its rim this far off the axis sees the wall aslant, row behind row."""
-BLUR_MAX = 0.5
-"""Width of a point's image, as a share of the gap to the next marker of its colour."""
-STEPS = (1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
-"""Stand-offs that are tried, as multiples of one that does not do."""
-
 
 def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
     """Figures of the report that need only layout and camera.
@@ -118,14 +111,16 @@ def warnings_of(
 
 def blurred(sensor: Sensor, camera: Camera, seen: Visibility, own: BoolArray) -> list[str]:
     """Say so if ``own`` markers (n,) blur into the gap to the next one of their colour."""
+    # Width of a point's image, as a share of the gap to the next marker of its colour.
+    blur_max = 0.5
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     blur = np.nan_to_num(sharpness(design.camera, camera, surface, markers).blur_px)
     share = np.where(own, blur / np.maximum(seen.gap_same_colour_px, 1.0), 0.0)
     worst = int(share.argmax())
-    if share[worst] < BLUR_MAX:
+    if share[worst] < blur_max:
         return []
     stop = design.camera.f_number
-    fix = np.ceil(10.0 * stop * share[worst] / BLUR_MAX) / 10.0
+    fix = np.ceil(10.0 * stop * share[worst] / blur_max) / 10.0
     said = (
         f"the image of a point at marker {worst} is {blur[worst]:.2g} px wide (camera.f_number = "
         f"{stop:g}), {seen.gap_same_colour_px[worst]:.2g} px from the next marker of its colour; "
@@ -136,20 +131,24 @@ def blurred(sensor: Sensor, camera: Camera, seen: Visibility, own: BoolArray) ->
 
 def too_close(sensor: Sensor, camera: Camera, seen: Visibility) -> list[str]:
     """Say so if `fit` puts a wide lens where receptors or the bar hide some, and what would do."""
+    # Stand-offs that are tried, as multiples of one that does not do.
+    steps = (1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
+    # A camera that sees its rim this far off the axis sees the wall aslant, row behind row.
+    wide_deg = 60.0
     design, surface = sensor.design, sensor.surface
     hidden = int(np.isin(seen.hidden_by, (RESIN, BAR)).sum())
     end = design.camera.end_numbers[0]
     rim = camera.to_camera(edge_mm(surface, end, -design.wall.thickness_mm))
     aside = np.arctan2(np.hypot(rim[:, 0], rim[:, 1]), rim[:, 2])
     slant = float(np.degrees(aside).max())
-    if design.camera.stand_off_mm != "fit" or hidden == 0 or slant < WIDE_DEG:
+    if design.camera.stand_off_mm != "fit" or hidden == 0 or slant < wide_deg:
         return []
     stand_off = stand_off_mm(design, surface, camera)
     said = (
         f'the lens is so wide that camera.stand_off_mm = "fit" puts it {stand_off:.2f} mm before '
         f"the rim, where {hidden} markers hide behind receptors or the light bar"
     )
-    for step in STEPS:
+    for step in steps:
         away = float(camera.rotation[2, 2]) * (stand_off - step * stand_off)
         back = replace(camera, position_mm=camera.position_mm + np.array([0.0, 0.0, away]))
         rng = np.random.default_rng(0)
@@ -159,4 +158,4 @@ def too_close(sensor: Sensor, camera: Camera, seen: Visibility) -> list[str]:
                 f"{said}; set camera.stand_off_mm = {step * stand_off:.1f}: every marker is seen"
             ]
     fix = "use a longer camera.focal_px, taller far receptors or fewer markers"
-    return [f"{said}; {STEPS[0]:g} to {STEPS[-1]:g} times that distance do not help: {fix}"]
+    return [f"{said}; {steps[0]:g} to {steps[-1]:g} times that distance do not help: {fix}"]

@@ -1,56 +1,12 @@
 """Rules on where receptors stand: off the open edges, apart from each other."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from phytac_design.geometry.boundary_loops import edge_distance_mm
 from phytac_design.layout.receptor_distances import nearest_pair, smallest_receptor_gap_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.clearance import lower_heights
 from phytac_design.rules.refusal import SLACK_mm, fewer, refuse
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-
-EDGE_POINTS = 1025
-"""Points of an edge among which the one nearest to a marker is looked for, before refining."""
-
-
-def edge_distance_mm(surface: Surface, uv: FloatArray, axis: int, end: int) -> FloatArray:
-    """Distance in space (n,) from points of the outer face to its edge (axis, end), mm.
-
-    Exact for the nearest of them; for others up to the spacing of ``EDGE_POINTS`` too great.
-    """
-    low, high = surface.domain[1 - axis]
-    fixed = surface.domain[axis, end]
-
-    def edge(t: FloatArray) -> FloatArray:
-        at = np.empty((len(t), 2))
-        at[:, axis], at[:, 1 - axis] = fixed, t
-        return surface.point(at)
-
-    stations = np.linspace(low, high, EDGE_POINTS)
-    points = surface.point(uv)
-    known = edge(stations)
-    best, nearest = cKDTree(known).query(points)
-    spacing = float(np.linalg.norm(np.diff(known, axis=0), axis=1).max())
-    close = np.flatnonzero(best <= best.min() + spacing)
-    points = points[close]
-    at, step = stations[nearest[close]], stations[1] - stations[0]
-    closed = surface.periodic[1 - axis]
-
-    def squared(t: FloatArray) -> FloatArray:
-        return np.asarray(np.sum((edge(t) - points) ** 2, axis=1))
-
-    for _ in range(3):
-        # The foot is at the vertex of a parabola through three points, ever closer ones.
-        middle, before, after = squared(at), squared(at - step), squared(at + step)
-        bend = before - 2.0 * middle + after
-        with np.errstate(divide="ignore", invalid="ignore"):
-            move = np.where(bend > 0.0, 0.5 * step * (before - after) / bend, 0.0)
-        at = at + np.clip(move, -step, step)
-        at = at if closed else np.clip(at, low, high)
-        step /= 16.0
-    best[close] = np.minimum(best[close], np.sqrt(squared(at)))
-    return np.asarray(best)
 
 
 def check_ends(sensor: Sensor) -> None:

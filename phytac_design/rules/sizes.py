@@ -8,19 +8,17 @@ from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.rules.refusal import SLACK_mm, refuse
 from phytac_shapes import Surface
 
-MARKERS_MAX = 50_000
-"""Maximum number of markers of a design; far more than any camera resolves."""
-
 
 def check_sizes(design: Design) -> None:
     """Check sizes against each other and against the print rules: needs no geometry."""
+    markers_max = 50_000  # maximum number of markers of a design; far more than any camera resolves
     receptor, switch, rules = design.receptor, design.switch, design.print_rules
     count = design.layout.wanted
-    if count > MARKERS_MAX:
+    if count > markers_max:
         refuse(
             "too-many-markers",
             f"{design.layout.rows} rows x {design.layout.columns} columns are {count} markers, "
-            f"more than {MARKERS_MAX}; lower layout.rows or layout.columns",
+            f"more than {markers_max}; lower layout.rows or layout.columns",
         )
     outer, hole, tip = (
         receptor.diameter_outer_mm,

@@ -27,8 +27,6 @@ __all__ = [
     "write_assembly",
     "write_step",
 ]
-STEP_DATE = "2000-01-01T00:00:00"
-"""Time stamp of every STEP file: the same inputs give the same file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,11 +117,16 @@ def write_step(solid: Any, path: Path, *, name: str = "shell") -> None:
             "output-not-writable",
             f"cannot write STEP file {path}; check that the folder is writable",
         )
-    text = path.read_text(encoding="latin-1")
-    head, data = text.split("DATA;", 1)
-    head = re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", f"'{STEP_DATE}'", head)
+    head, data = _undated(path)
     data = re.sub(r"PRODUCT\('[^']*',\s*'[^']*'", f"PRODUCT('{name}','{name}'", data, count=1)
     path.write_text(f"{head}DATA;{data}", encoding="latin-1")
+
+
+def _undated(path: Path) -> tuple[str, str]:
+    """Head, with a fixed time stamp, and data of a STEP file: the same inputs give the same file."""
+    head, data = path.read_text(encoding="latin-1").split("DATA;", 1)
+    stamp = "'2000-01-01T00:00:00'"
+    return re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", stamp, head), data
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,9 +175,7 @@ def write_assembly(bodies: Sequence[CadBody], path: Path, *, name: str) -> None:
             "output-not-writable",
             f"cannot write STEP file {path}; check that the folder is writable",
         )
-    text = path.read_text(encoding="latin-1")
-    head, data = text.split("DATA;", 1)
-    head = re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", f"'{STEP_DATE}'", head)
+    head, data = _undated(path)
     # OpenCASCADE's numbers of the places of bodies grow from file to file, and with their digits
     # the place where it breaks the line.
     count = itertools.count(1)

@@ -14,9 +14,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import NumericalError
 
-LINES = 9
-"""Lines of each face by which the samples are chosen."""
-
 
 def sheet_wall(surface: Surface, wall: WallSection) -> Any:
     """Wall and rims of a sheet as a CadQuery solid, within ``cad_spline.FIT_mm``.
@@ -57,7 +54,7 @@ def stations(surface: Surface, wall: WallSection, axis: int) -> FloatArray:
     """Chart stations along ``axis`` whose splines keep to the wall's faces and rims."""
     low, high = surface.domain[axis]
     first, last = surface.domain[1 - axis]
-    across = np.linspace(first, last, LINES)
+    across = np.linspace(first, last, 9)  # lines of each face by which the samples are chosen
 
     def lines(t: FloatArray) -> FloatArray:
         along = low + t * (high - low)

@@ -16,7 +16,6 @@ from phytac_shapes.errors import NumericalError
 
 FIT_mm = 1e-3
 """Largest distance between a spline and what it stands for, half-way between its samples."""
-DEGREE = 3
 
 
 def cells_for(points_at: Callable[[FloatArray], FloatArray], knots: int) -> int:
@@ -35,7 +34,7 @@ def cells_for(points_at: Callable[[FloatArray], FloatArray], knots: int) -> int:
         cells = knots * spans
         t = np.linspace(0.0, 1.0, 2 * cells + 1)
         points = points_at(t)
-        spline = make_interp_spline(t[::2], points[::2], k=DEGREE)
+        spline = make_interp_spline(t[::2], points[::2], k=3)
         if float(np.linalg.norm(spline(t[1::2]) - points[1::2], axis=-1).max()) <= FIT_mm:
             return cells
         if 2 * cells > cells_max:
@@ -71,9 +70,9 @@ def spline_edge(points_mm: FloatArray) -> Any:
     from OCP.gp import gp_Pnt
     from OCP.TColgp import TColgp_Array1OfPnt
 
-    spline = make_interp_spline(np.linspace(0.0, 1.0, len(points_mm)), points_mm, k=DEGREE)
+    spline = make_interp_spline(np.linspace(0.0, 1.0, len(points_mm)), points_mm, k=3)
     poles = _array(TColgp_Array1OfPnt, [gp_Pnt(*point) for point in spline.c.tolist()])
-    curve = Geom_BSplineCurve(poles, *_knot_arrays(spline), DEGREE)
+    curve = Geom_BSplineCurve(poles, *_knot_arrays(spline), 3)
     return BRepBuilderAPI_MakeEdge(curve).Edge()
 
 
@@ -87,7 +86,7 @@ def spline_face(points_mm: FloatArray) -> Any:
     from OCP.gp import gp_Pnt
     from OCP.TColgp import TColgp_Array2OfPnt
 
-    degrees = [1 if count == 2 else DEGREE for count in points_mm.shape[:2]]
+    degrees = [1 if count == 2 else 3 for count in points_mm.shape[:2]]
     first = make_interp_spline(
         np.linspace(0.0, 1.0, points_mm.shape[0]), points_mm, k=degrees[0], axis=0
     )

@@ -16,18 +16,16 @@ from phytac_design.solids.cad_kernel import cadquery
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError, PhytacError
 
-COVERED = 1e-6
-"""Relative area by which a face may miss its parameter rectangle and still count as untrimmed."""
-
-SECONDS_MAX = 120.0
-MEMORY_MAX = 4 << 30
-"""Time and bytes that reading a file may take."""
-STATM = Path("/proc/self/statm")
 AGAIN = "export the one face again, as a STEP file of its own"
 
 
 def surface_from_step(
-    path: Path, *, rows: int = 9, columns: int = 9, face: int | None = None
+    path: Path,
+    *,
+    rows: int = 9,
+    columns: int = 9,
+    face: int | None = None,
+    seconds_max: float = 120.0,
 ) -> FloatArray:
     """Grid of points (rows, columns, 3) mm on one face of a STEP file, outward towards +z.
 
@@ -43,6 +41,8 @@ def surface_from_step(
         Points along each direction, at least two.
     face : int, optional
         Number of the face in the file; the one of largest area if left out.
+    seconds_max : float
+        Time that reading may take.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def surface_from_step(
     child.start()
     its.close()
     try:
-        answer = mine.recv() if mine.poll(SECONDS_MAX) else None
+        answer = mine.recv() if mine.poll(seconds_max) else None
     except EOFError:
         child.join()
         raise InputError(
@@ -75,7 +75,7 @@ def surface_from_step(
     if answer is None:
         raise InputError(
             "step-unreadable",
-            f"cannot read STEP file {path}: no end within {SECONDS_MAX:g} s; {AGAIN}",
+            f"cannot read STEP file {path}: no end within {seconds_max:g} s; {AGAIN}",
         )
     if isinstance(answer, PhytacError):
         raise answer
@@ -84,12 +84,14 @@ def surface_from_step(
 
 def _send_grid(pipe: Connection, path: Path, rows: int, columns: int, face: int | None) -> None:
     """Send the grid or the error; OpenCASCADE's own output is discarded."""
+    statm = Path("/proc/self/statm")
+    memory_max = 4 << 30  # bytes that reading a file may take
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, 1)
     os.dup2(silent, 2)
-    if STATM.is_file():
-        pages = int(STATM.read_text().split()[0])
-        limit = pages * resource.getpagesize() + MEMORY_MAX
+    if statm.is_file():
+        pages = int(statm.read_text().split()[0])
+        limit = pages * resource.getpagesize() + memory_max
         resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
     answer: FloatArray | PhytacError
     try:
@@ -162,6 +164,8 @@ def _face(path: Path, number: int | None) -> Any:
 
 def _untrimmed(face: Any, path: Path) -> tuple[Any, tuple[float, float, float, float]]:
     """Geometry of a face and the rectangle of its parameters, which it fills."""
+    # Relative area by which a face may miss its parameter rectangle and still count as untrimmed.
+    covered = 1e-6
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace
     from OCP.BRepTools import BRepTools
 
@@ -170,7 +174,7 @@ def _untrimmed(face: Any, path: Path) -> tuple[Any, tuple[float, float, float, f
     geometry = face._geomAdaptor()  # noqa: SLF001 - CadQuery's only way to the surface
     whole = cq.Face(BRepBuilderAPI_MakeFace(geometry, *bounds, 1e-6).Face()).Area()
     share = face.Area() / whole
-    if abs(share - 1.0) > COVERED:
+    if abs(share - 1.0) > covered:
         raise InputError(
             "step-face-trimmed",
             f"the face of {path} is trimmed: it covers {share:.1%} of the rectangle of its "

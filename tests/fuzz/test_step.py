@@ -36,9 +36,8 @@ def test_a_crash_is_an_error_of_the_file(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_hang_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stand_in(monkeypatch, lambda: time.sleep(60.0))
-    monkeypatch.setattr(step_surface, "SECONDS_MAX", 0.3)
     with pytest.raises(InputError, match="no end within"):
-        step_surface.surface_from_step(tmp_path / "x.step")
+        step_surface.surface_from_step(tmp_path / "x.step", seconds_max=0.3)
     assert multiprocessing.active_children() == []
 
 

@@ -8,9 +8,6 @@ import numpy as np
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 
-STEP = 1e-6
-"""Step of the differences, relative to the chart."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class OffsetSurface(Surface):
@@ -50,13 +47,14 @@ class OffsetSurface(Surface):
     def tangents(self, uv: FloatArray) -> FloatArray:
         """Those of the base and the turn of its normal, by central differences."""
         uv = np.asarray(uv, dtype=np.float64)
+        share = 1e-6  # step of the differences, relative to the chart
         span = self.domain[:, 1] - self.domain[:, 0]
         out = self.base.tangents(uv).copy()
         for axis in (0, 1):
             step = np.zeros(2)
-            step[axis] = STEP * span[axis]
+            step[axis] = share * span[axis]
             turn = self.base.normal(uv + step) - self.base.normal(uv - step)
-            out[:, axis] += self.lift_mm * turn / (2.0 * STEP * span[axis])
+            out[:, axis] += self.lift_mm * turn / (2.0 * share * span[axis])
         return out
 
     def chart(self, points_mm: FloatArray) -> FloatArray:

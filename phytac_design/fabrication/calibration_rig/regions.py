@@ -10,6 +10,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.symmetry import Symmetry, find_symmetry
+from phytac_design.geometry.boundary_loops import edge_distance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -18,8 +19,6 @@ FIT_mm = 0.045
 """Largest distance of a face from the surface of the regions it serves."""
 RADIUS_MIN_mm = 0.8
 """Thinner indenters bend; regions that leave less room are left out."""
-NARROWER = 0.75
-"""Radii near rims step down by this."""
 RINGS, SECTORS = 2, 24
 
 
@@ -116,17 +115,10 @@ def fit_mm(heights: FloatArray) -> FloatArray:
 
 def clear_mm(design: Design, surface: Surface, uv: FloatArray) -> FloatArray:
     """Distance from places on the outer face to the nearest rim that stands out of it, (n,)."""
-    edge_points = 721
     out = np.full(len(uv), np.inf)
-    if design.wall.rim_length_mm == 0.0 or design.wall.rim_flange_mm == 0.0:
-        return out
-    points = surface.point(uv)
-    for axis, end in surface.edges():
-        low, high = surface.domain[1 - axis]
-        edge = np.full((edge_points, 2), surface.domain[axis, end])
-        edge[:, 1 - axis] = np.linspace(low, high, edge_points)
-        gap = np.linalg.norm(points[:, None] - surface.point(edge)[None], axis=2)
-        out = np.minimum(out, gap.min(axis=1))
+    if design.wall.rim_length_mm > 0.0 and design.wall.rim_flange_mm > 0.0:
+        for axis, end in surface.edges():
+            out = np.minimum(out, edge_distance_mm(surface, uv, axis, end))
     return out
 
 
@@ -135,10 +127,11 @@ def radii_mm(design: Design, surface: Surface, uv: FloatArray) -> FloatArray:
 
     0 where not even ``RADIUS_MIN_mm`` fits.
     """
+    narrower = 0.75  # radii near rims step down by this
     room = clear_mm(design, surface, uv) - design.kit.clearance_mm
     radius = np.full(len(uv), design.training.patch_radius_min_mm)
     while bool(np.any(radius > room)):
-        radius = np.where(radius > room, NARROWER * radius, radius)
+        radius = np.where(radius > room, narrower * radius, radius)
         radius = np.where(radius < RADIUS_MIN_mm, 0.0, radius)
         if bool(np.all((radius <= room) | (radius == 0.0))):
             break

@@ -15,7 +15,6 @@ from phytac_shapes.arrays import FloatArray, IntArray
 
 SAME_mm = 1e-6
 """Markers closer than this are one."""
-ANGLE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +73,7 @@ def _candidates(points: FloatArray) -> list[tuple[FloatArray, bool]]:
     out: list[tuple[FloatArray, bool]] = []
     for peer in peers.tolist():
         turn = float(np.mod(angle[peer] - angle[first], 2.0 * np.pi))
-        if min(turn, 2.0 * np.pi - turn) > ANGLE:
+        if min(turn, 2.0 * np.pi - turn) > 1e-9:
             out.append((_turned(turn), False))
         out.append((_turned(float(angle[peer] + angle[first]), mirrored=True), True))
     return out

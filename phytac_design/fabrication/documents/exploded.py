@@ -17,10 +17,6 @@ from phytac_design.solids.mesh_export import DISPLAY_COLOURS
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-FINER = 2
-"""Pixels each way behind one of the picture."""
-VIEW = np.array([1.0, -0.55, -0.6])
-"""From the sensor's middle towards the viewer: from the side and a little from the camera's end."""
 PART_COLOURS = {
     "": (150, 175, 205),
     "shell": DISPLAY_COLOURS["resin"][:3],
@@ -68,15 +64,17 @@ def switch_bodies(
     return bodies
 
 
-def picture(bodies: Sequence[Body], *, view: FloatArray = VIEW) -> bytes:
-    """PNG of bodies, shaded, seen from direction ``view``; +z upwards."""
+def picture(bodies: Sequence[Body], *, finer: int = 2) -> bytes:
+    """PNG of bodies, shaded, +z upwards, averaged over ``finer`` pixels each way."""
+    # From the side and a little from the camera's end.
+    view = np.array([1.0, -0.55, -0.6])
     ambient = 0.35
     mesh = merged([body.mesh for body in bodies])
     vertices, triangles = mesh.vertices_mm, mesh.triangles.astype(np.int32)
     colour = np.concatenate(
         [np.tile(body.colour, (len(body.mesh.triangles), 1)) for body in bodies]
     ).astype(np.float64)
-    camera = _camera(vertices, view)
+    camera = _camera(vertices, view, finer)
     scene = RenderScene(
         vertices=vertices,
         triangles=triangles,
@@ -94,12 +92,12 @@ def picture(bodies: Sequence[Body], *, view: FloatArray = VIEW) -> bytes:
     light = ambient + (1.0 - ambient) * (0.5 * facing + 0.5 * slant)
     shaded = np.concatenate([colour * light[:, None], [[255.0, 255.0, 255.0]]])
     image = shaded[owner][:, :, ::-1]
-    size = (camera.width_px // FINER, camera.height_px // FINER)
+    size = (camera.width_px // finer, camera.height_px // finer)
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     return bytes(cv2.imencode(".png", np.clip(np.rint(small), 0, 255).astype(np.uint8))[1])
 
 
-def _camera(vertices: FloatArray, view: FloatArray) -> Camera:
+def _camera(vertices: FloatArray, view: FloatArray, finer: int) -> Camera:
     fill = 0.95
     distance = 4.0  # of the viewer, in radii of all bodies
     size_px = (1100, 800)
@@ -114,7 +112,7 @@ def _camera(vertices: FloatArray, view: FloatArray) -> Camera:
     place = seen / (distance * radius + seen[:, 2:])
     reach = np.abs(place[:, :2]).max(axis=0)
     # Upright or lying, whichever shows it larger.
-    ways = [FINER * np.array(size_px), FINER * np.array(size_px[::-1])]
+    ways = [finer * np.array(size_px), finer * np.array(size_px[::-1])]
     size = max(ways, key=lambda way: float((way / reach).min()))
     return Camera(
         lens=pinhole(

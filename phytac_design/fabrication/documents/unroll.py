@@ -27,10 +27,6 @@ GRID = 33
 """Stations each way at which the stretch is evaluated."""
 BORDER = 181
 """Points along each edge."""
-STEP = 1e-5
-"""Step of the differences, relative to the chart."""
-POLE_SHARE = 1e-3
-"""So near a pole, relative to the chart, directions around mean nothing."""
 
 FlatMap = Callable[[FloatArray, IntArray], FloatArray]
 """Chart positions (n, 2) and the piece each belongs to (n,), to places on paper (n, 2) mm."""
@@ -133,8 +129,9 @@ def _made(
 
 def _grid(surface: Surface) -> FloatArray:
     """Chart positions all over the surface, off its poles, (GRID², 2)."""
+    pole_share = 1e-3  # so near a pole, relative to the chart, directions around mean nothing
     (u0, u1), (v0, v1) = surface.domain
-    off = POLE_SHARE * (u1 - u0) * np.array(surface.poles)
+    off = pole_share * (u1 - u0) * np.array(surface.poles)
     u = np.linspace(u0 + off[0], u1 - off[1], GRID)
     v = v0 + (v1 - v0) * (np.arange(GRID) + 0.5) / GRID
     return np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -147,16 +144,19 @@ def _piece(surface: Surface, uv: FloatArray, pieces: int) -> IntArray:
 
 
 def _stretch(surface: Surface, flat: FlatMap, uv: FloatArray, piece: IntArray) -> FloatArray:
+    step_share = 1e-5  # of the differences, relative to the chart
     span = surface.domain[:, 1] - surface.domain[:, 0]
     inside = np.clip(
-        uv, surface.domain[:, 0] + 2 * STEP * span, surface.domain[:, 1] - 2 * STEP * span
+        uv,
+        surface.domain[:, 0] + 2 * step_share * span,
+        surface.domain[:, 1] - 2 * step_share * span,
     )
     columns = []
     for axis in (0, 1):
         step = np.zeros(2)
-        step[axis] = STEP * span[axis]
+        step[axis] = step_share * span[axis]
         columns.append((flat(inside + step, piece) - flat(inside - step, piece)) / 2.0)
-    J = np.stack(columns, axis=2) / (STEP * span)
+    J = np.stack(columns, axis=2) / (step_share * span)
     # Singular values of J·T⁻¹, T a square root of the metric (M = TᵀT).
     T = np.linalg.cholesky(surface.metric(inside)).transpose(0, 2, 1)
     values = np.linalg.svd(J @ np.linalg.inv(T), compute_uv=False)

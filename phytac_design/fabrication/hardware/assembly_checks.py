@@ -26,7 +26,6 @@ from phytac_shapes.errors import DesignError
 
 COARSE_mm = 0.05
 """Accuracy of the wall in the check for light leaks."""
-BOUGHT = {"electronics": "electronics", "light": "electronics", "steel": "steel"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +180,7 @@ def parts_list(kit: HardwareAssembly, solids: Mapping[str, Any]) -> list[dict[st
                 name if len(equal) == 1 or steel else name.removesuffix(" 1"),
                 file=f"fixtures/{part.name}.stl" if part.printed else "",
                 count=len(equal),
-                material=BOUGHT.get(part.material, part.material),
+                material="electronics" if part.material == "light" else part.material,
                 volume_mm3=float(solids[part.name].volume()),
                 note="hexagon socket" if steel else part.note,
             )

@@ -19,9 +19,6 @@ from phytac_design.optics.render_scene import FIRST_MARKER, build_scene
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-DIRECTIONS = 1500
-"""Rays from each place inside in the check for light leaks."""
-
 
 def meets(solids: Mapping[str, Any]) -> dict[str, float]:
     """Common volume (mm³) of every pair of solids that share any, by ``"one / other"``."""
@@ -102,7 +99,7 @@ def sphere(count: int) -> FloatArray:
 
 
 def light_leaks(
-    walls: TriangleMesh, places_mm: FloatArray, directions: int = DIRECTIONS
+    walls: TriangleMesh, places_mm: FloatArray, directions: int = 1500
 ) -> tuple[int, int]:
     """Number of rays from places (n, 3) inside that meet no wall, and number of all rays.
 

@@ -15,7 +15,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-STATIONS = 256
 FLAT_mm = 1e-6
 
 
@@ -135,9 +134,10 @@ def rim_places(
 
 
 def _stations(surface: Surface, end: int) -> FloatArray:
+    stations = 256
     low, high = surface.domain[1]
-    uv = np.full((STATIONS, 2), surface.domain[0, end])
-    uv[:, 1] = np.linspace(low, high, STATIONS, endpoint=False)
+    uv = np.full((stations, 2), surface.domain[0, end])
+    uv[:, 1] = np.linspace(low, high, stations, endpoint=False)
     return uv
 
 

@@ -17,8 +17,6 @@ from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_tria
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-FINE = 0.1
-"""Meshes of hardware are this much finer than the gaps between parts."""
 SWITCH_mm = 0.03
 """Accuracy of switches in an assembly."""
 SHELL, SWITCHES = "shell", "switches"
@@ -26,7 +24,8 @@ SHELL, SWITCHES = "shell", "switches"
 
 def mesh_tolerance_mm(design: Design, tolerance_mm: float) -> float:
     """Accuracy of hardware meshes: as requested, but well within the clearances."""
-    return min(tolerance_mm, FINE * max(design.print_rules.clearance_mm, 0.05))
+    fine = 0.1  # meshes of hardware are this much finer than the gaps between parts
+    return min(tolerance_mm, fine * max(design.print_rules.clearance_mm, 0.05))
 
 
 def hardware_solids(

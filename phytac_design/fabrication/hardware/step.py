@@ -10,8 +10,6 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.cad import CadBody, revolved_cad, shell_cad, wall_cad
 from phytac_shapes import Surface
 
-WALL = "shell_without_receptors"
-
 
 def hardware_bodies(kit: HardwareAssembly, shapes: dict[str, Any]) -> list[CadBody]:
     """Parts of a kit with their colours."""
@@ -23,7 +21,8 @@ def hardware_bodies(kit: HardwareAssembly, shapes: dict[str, Any]) -> list[CadBo
 
 def wall_body(design: Design, surface: Surface) -> CadBody:
     """Wall and rims alone, for quick assemblies."""
-    return CadBody(name=WALL, shape=wall_cad(surface, design.wall), colour=COLOURS["shell"])
+    wall = "shell_without_receptors"
+    return CadBody(name=wall, shape=wall_cad(surface, design.wall), colour=COLOURS["shell"])
 
 
 def sensor_bodies(sensor: Sensor, switches: SwitchSet) -> list[CadBody]:

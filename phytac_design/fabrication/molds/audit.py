@@ -19,8 +19,6 @@ from phytac_design.solids.solid_mesh import box, to_manifold, to_triangles
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import NumericalError
 
-COLUMN_SIDES = 48
-
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
@@ -218,7 +216,7 @@ def cavities_of(
     low = [2.0 * pressed_mm - sizes.cavities[kind].reach_mm for kind in cells]
     start = np.column_stack([centre, low])
     end = np.column_stack([centre, np.full(len(centre), sizes.dome_mm + 0.1)])
-    columns = prisms(start, end, sizes.rim_mm + 0.5 * sizes.section.land_mm, COLUMN_SIDES)
+    columns = prisms(start, end, sizes.rim_mm + 0.5 * sizes.section.land_mm, 48)
     rest = to_manifold(columns) - halves[0] - halves[1].translate((0.0, 0.0, pressed_mm))
     bodies = [to_triangles(body) for body in rest.decompose()]
     middle = np.array(
@@ -268,7 +266,7 @@ def least_gap_mm(
     """Least distance of two solids in columns over cells, between two heights."""
     centres = made.plan.centre_mm(cells, made.sizes.pitch_mm)
     low, high = (np.column_stack([centres, np.full(len(centres), z)]) for z in span_mm)
-    columns = to_manifold(prisms(low, high, 0.48 * made.sizes.pitch_mm, COLUMN_SIDES))
+    columns = to_manifold(prisms(low, high, 0.48 * made.sizes.pitch_mm, 48))
     first, second = (columns ^ solid for solid in pair)
     return float(first.min_gap(second, 2.0 * made.sizes.section.key_mm))
 

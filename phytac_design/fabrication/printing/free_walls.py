@@ -6,15 +6,6 @@ from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import frames_along
 from phytac_shapes.arrays import BoolArray, FloatArray
 
-STEP = 0.5
-"""Steps of a walk over the wall's thickness: it follows bends of that radius."""
-STEPS = 300
-"""A wall longer than so many steps (around a tube, for example) counts as held there."""
-HELD = 2.0
-"""Where the body is this many times thicker than the wall, the wall is held."""
-EDGES = 2
-"""Edges at which a wall must be held to count as supported."""
-
 
 def free_walls(
     tree: RayTree, middle_mm: FloatArray, normal: FloatArray, width_mm: FloatArray
@@ -28,6 +19,11 @@ def free_walls(
     width_mm : (n,) float
         Thickness there.
     """
+    edges = 2  # edges at which a wall must be held to count as supported
+    held = 2.0  # where the body is this many times thicker than the wall, the wall is held
+    # A wall longer than so many steps (around a tube, for example) counts as held there.
+    steps = 300
+    step = 0.5  # steps of a walk over the wall's thickness: it follows bends of that radius
     count = len(middle_mm)
     if count == 0:
         return np.zeros(0, dtype=np.bool_)
@@ -37,14 +33,14 @@ def free_walls(
     width = np.tile(width_mm, 4)
     ended = np.zeros(4 * count, dtype=np.bool_)
     going = np.arange(4 * count)
-    for _ in range(STEPS):
-        ahead = point[going] + STEP * width[going, None] * way[going]
+    for _ in range(steps):
+        ahead = point[going] + step * width[going, None] * way[going]
         up, down = tree.cast(ahead, across[going]), tree.cast(ahead, -across[going])
         inside = up.triangle >= 0
         inside &= np.einsum("ni,ni->n", tree.normal[up.triangle], across[going]) > 0.0
         ended[going[~inside]] = True
         thick = up.distance_mm + down.distance_mm
-        on = inside & (thick < HELD * width[going])
+        on = inside & (thick < held * width[going])
         shift = (up.distance_mm[on] - down.distance_mm[on]) / 2.0
         kept = going[on]
         point[kept] = ahead[on] + shift[:, None] * across[kept]
@@ -55,4 +51,4 @@ def free_walls(
         going = kept
         if going.size == 0:
             break
-    return np.asarray((~ended).reshape(4, count).sum(axis=0) < EDGES)
+    return np.asarray((~ended).reshape(4, count).sum(axis=0) < edges)

@@ -14,8 +14,6 @@ from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
-DIRECTIONS = 150
-"""Build directions of the coarse search, besides those along the axes."""
 TURNS_deg = np.arange(0.0, 90.0, 5.0)
 """Turns on the bed."""
 
@@ -69,8 +67,9 @@ class Overhang:
 
 def directions() -> FloatArray:
     """Build directions (n, 3), evenly over the sphere (Fibonacci), the axes first."""
-    number = np.arange(DIRECTIONS)
-    z = 1.0 - (2.0 * number + 1.0) / DIRECTIONS
+    directions = 150  # build directions of the coarse search, besides those along the axes
+    number = np.arange(directions)
+    z = 1.0 - (2.0 * number + 1.0) / directions
     angle = np.pi * (3.0 - np.sqrt(5.0)) * number
     around = np.sqrt(1.0 - z**2)
     ball = np.column_stack([around * np.cos(angle), around * np.sin(angle), z])

@@ -25,8 +25,6 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 
 SPACING_mm = 0.7
 """Default distance between the points at which thickness is measured."""
-LISTED = 20
-"""Supported regions that a report lists, the largest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +53,7 @@ class PrintReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for files and reports."""
+        listed = 20  # supported regions that a report lists, the largest first
         return {
             "violations": [item.as_dict() for item in self.violations],
             "orientation": self.standing.as_dict() | {"directions_compared": self.tried},
@@ -67,7 +66,7 @@ class PrintReport:
                         "area_mm2": round(item.area_mm2, 3),
                         "slope_deg": round(item.slope_deg, 2),
                     }
-                    for item in self.supports[:LISTED]
+                    for item in self.supports[:listed]
                 ],
             },
             "wall_least_mm": None if np.isinf(self.wall_mm) else round(self.wall_mm, 4),

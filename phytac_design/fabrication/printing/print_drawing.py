@@ -15,14 +15,8 @@ from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 SIDE_px = 420
 """Side of each view."""
-MARGIN = 1.06
-VIEWS = (("from above", 25.0, 30.0), ("from below", -35.0, 30.0))
-"""Name, elevation and azimuth (degrees)."""
 PAPER, BODY, HANGING = (255, 255, 255), (208, 204, 198), (60, 140, 245)
 """BGR of the paper, of the body, and of faces that need supports."""
-LIGHT = np.array([0.3, 0.5, 0.8])
-LISTED = 14
-"""Violations that are written out below the views."""
 
 
 def draw_report(tree: RayTree, report: PrintReport, rules: PrintSection, title: str) -> str:
@@ -35,6 +29,9 @@ def draw_report(tree: RayTree, report: PrintReport, rules: PrintSection, title: 
     report : PrintReport
         Of that body.
     """
+    # Name, elevation and azimuth (degrees).
+    views = (("from above", 25.0, 30.0), ("from below", -35.0, 30.0))
+    margin = 1.06
     up = np.array(report.standing.up)
     stand = upright(up)
     hanging = np.zeros(len(tree.normal), dtype=np.bool_)
@@ -51,8 +48,8 @@ def draw_report(tree: RayTree, report: PrintReport, rules: PrintSection, title: 
     ]
     points = tree.corners.reshape(-1, 3) @ stand.T
     centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    scale = SIDE_px / (MARGIN * float(np.linalg.norm(np.ptp(points, axis=0))))
-    for k, (name, elevation, azimuth) in enumerate(VIEWS):
+    scale = SIDE_px / (margin * float(np.linalg.norm(np.ptp(points, axis=0))))
+    for k, (name, elevation, azimuth) in enumerate(views):
         view = _view(elevation, azimuth)
         picture = _picture(tree, stand, view, hanging, centre, scale)
         data = b64encode(cv2.imencode(".png", picture)[1].tobytes()).decode()
@@ -76,6 +73,7 @@ def draw_report(tree: RayTree, report: PrintReport, rules: PrintSection, title: 
 
 
 def _lines(report: PrintReport, rules: PrintSection) -> list[str]:
+    listed = 14  # violations that are written out below the views
     standing = report.standing
     bed = " x ".join(f"{side:g}" for side in rules.bed_mm)
     lines = [
@@ -86,7 +84,7 @@ def _lines(report: PrintReport, rules: PrintSection) -> list[str]:
             f"{standing.overhang_area_mm2:.0f} mm² on supports"
         ),
     ]
-    shown = report.violations[:LISTED]
+    shown = report.violations[:listed]
     lines += [f"{k}  {item.text()}" for k, item in enumerate(shown, start=1)]
     more = len(report.violations) - len(shown)
     lines += [f"and {more} more (print_report.json)"] if more else []
@@ -110,6 +108,7 @@ def _picture(
     scale: float,
 ) -> ImageArray:
     """Shaded parallel view (SIDE_px, SIDE_px, 3)."""
+    light = np.array([0.3, 0.5, 0.8])
     place = (np.arange(SIDE_px) + 0.5 - SIDE_px / 2) / scale
     x, y = np.meshgrid(place, -place)
     far = 2.0 * SIDE_px / scale
@@ -119,7 +118,7 @@ def _picture(
     hit = tree.cast(start, way).triangle
     met = hit >= 0
     normal = tree.normal[hit[met]] @ stand.T @ view.T
-    shade = 0.4 + 0.6 * np.clip(normal @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    shade = 0.4 + 0.6 * np.clip(normal @ (light / np.linalg.norm(light)), 0.0, 1.0)
     base = np.where(hanging[hit[met]][:, None], HANGING, BODY)
     picture = np.full((x.size, 3), PAPER, dtype=np.uint8)
     picture[met] = np.round(base * shade[:, None]).astype(np.uint8)

@@ -13,8 +13,6 @@ from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 SLACK_mm = 1e-6
-NEAR = 1.04
-"""Polygons that stand for tubes reach this much farther out than the tubes."""
 
 
 def check_receptors(design: Design, markers: Markers) -> list[Violation]:
@@ -70,6 +68,7 @@ def owners(sensor: Sensor, points_mm: FloatArray) -> IntArray:
         Points on or in the shell.
     """
     design, markers = sensor.design, sensor.markers
+    widened = 1.04  # polygons that stand for tubes reach so much farther out than the tubes
     near_mm = 0.02  # how far beyond its end a point may be to count as on a tube
     owner = np.full(len(points_mm), -1, dtype=np.int64)
     if markers.count == 0 or len(points_mm) == 0:
@@ -88,6 +87,6 @@ def owners(sensor: Sensor, points_mm: FloatArray) -> IntArray:
     arm = points_mm - start[near]
     way = np.einsum("ni,ni->n", arm, markers.direction[near])
     off = np.linalg.norm(arm - way[:, None] * markers.direction[near], axis=1)
-    on = (off <= NEAR * radius) & (way <= length[near] + near_mm)
+    on = (off <= widened * radius) & (way <= length[near] + near_mm)
     owner[on] = near[on]
     return owner

@@ -11,10 +11,6 @@ from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh, proper_triangles
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-STEPS = np.array([0.7548776662466927, 0.5698402909980532])
-"""Steps of the evenest known sequence in the plane (Roberts' R2, of the plastic number)."""
-ALIKE = 1.4
-"""Ratio of widths up to which places are of one feature."""
 AREA_mm2 = 1e-10
 """Smaller triangles have no direction to speak of."""
 
@@ -50,12 +46,14 @@ class SurfaceSamples:
 
 def sample_faces(tree: RayTree, spacing_mm: float) -> SurfaceSamples:
     """Points about ``spacing_mm`` apart, at least one on each triangle."""
+    # Steps of the evenest known sequence in the plane (Roberts' R2, of the plastic number).
+    steps = np.array([0.7548776662466927, 0.5698402909980532])
     real = np.flatnonzero(tree.area_mm2 > AREA_mm2)
     area = tree.area_mm2[real]
     count = np.maximum(1, np.ceil(area / spacing_mm**2)).astype(np.int64)
     triangle = np.repeat(real, count)
     number = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count)
-    share = np.mod(0.5 + number[:, None] * STEPS, 1.0)
+    share = np.mod(0.5 + number[:, None] * steps, 1.0)
     share = np.where(share.sum(axis=1, keepdims=True) > 1.0, 1.0 - share, share)
     share[number == 0] = 1.0 / 3.0
     a, b, c = np.moveaxis(tree.corners[triangle], 1, 0)
@@ -84,10 +82,11 @@ def regions(
     reach_mm : float
         How near.
     """
+    alike = 1.4  # ratio of widths up to which places are of one feature
     count = len(points_mm)
     if count == 0:
         return np.zeros(0, dtype=np.int64)
-    size = np.log(width_mm) / np.log(ALIKE)
+    size = np.log(width_mm) / np.log(alike)
     pairs = cKDTree(points_mm).query_pairs(reach_mm, output_type="ndarray")
     pairs = pairs[np.abs(size[pairs[:, 0]] - size[pairs[:, 1]]) < 1.0]
     classes = np.floor(size).astype(np.int64)[:, None]

@@ -18,14 +18,8 @@ from phytac_design.geometry.ray_tree import RayTree, START_mm
 from phytac_design.geometry.triangles import frames_along
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-PARALLEL = 0.985
-"""Minimum cosine between ray and face across for walls and gaps: wider wedges are edges."""
 SHALLOW = 2.0
 """What is less high or deep than this many times its width is a detail, not a wall or a hole."""
-NARROW = 1.6
-"""Width across over thickness up to which a thin place is a post or a hole."""
-ROUND = 0.2
-"""Least share of normals that look another way, for their common axis to be known."""
 LINES = 4
 
 
@@ -92,9 +86,11 @@ class ThinPlaces:
         Where all normals are alike, the corners' longest or shortest extent across them is the
         axis.
         """
+        # Least share of normals that look another way, for their common axis to be known.
+        round_share = 0.2
         corners = self.tree.corners[self.samples.triangle].reshape(-1, 3)
         _, size, rows = np.linalg.svd(self.samples.normal, full_matrices=True)
-        if len(size) > 1 and size[1] > ROUND * size[0]:
+        if len(size) > 1 and size[1] > round_share * size[0]:
             return corners, rows[2]
         flat = (corners - corners.mean(axis=0)) @ rows[1:].T
         across = np.linalg.svd(flat, full_matrices=True)[2] @ rows[1:]
@@ -159,6 +155,8 @@ def _thin_places(
     tree: RayTree, samples: SurfaceSamples, side: float, limit_mm: float, required_mm: float
 ) -> tuple[ThinPlaces, ThinPlaces]:
     """Thin places inward (side -1) or outward (1): narrow both ways, and only one way."""
+    # Minimum cosine between ray and face across for walls and gaps: wider wedges are edges.
+    parallel = 0.985
     # A wall or gap that tapers to nothing within this many times the required width is an edge.
     taper = 2.0
     # Least cosine between a ray and the face across, for that face to be the other side.
@@ -172,13 +170,15 @@ def _thin_places(
     places = ThinPlaces(tree=tree, samples=samples.some(thin), width_mm=width, side=side)
     narrow = _narrow(places)
     slope = np.sqrt(np.clip(1.0 - cosine**2, 1e-18, 1.0)) / cosine
-    flat = ~narrow & (cosine >= PARALLEL) & (width >= taper * required_mm * slope)
+    flat = ~narrow & (cosine >= parallel) & (width >= taper * required_mm * slope)
     return places.some(narrow), places.some(flat)
 
 
 def _narrow(places: ThinPlaces) -> BoolArray:
     """Whether a thin place is about as narrow along one of four lines parallel to the face."""
-    tree, middle, widest = places.tree, places.middle_mm, NARROW * places.width_mm
+    # Width across over thickness up to which a thin place is a post or a hole.
+    ratio = 1.6
+    tree, middle, widest = places.tree, places.middle_mm, ratio * places.width_mm
     narrow = np.zeros(len(widest), dtype=np.bool_)
     for way in _around(places.samples.normal, LINES):
         ahead = tree.cast(middle, way, widest).distance_mm

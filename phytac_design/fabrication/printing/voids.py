@@ -18,9 +18,6 @@ from phytac_design.fabrication.printing.violations import Violation, violation
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-COARSE = 2.5
-"""Drains narrower than this many cells are not searched."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class VoxelGrid:
@@ -161,8 +158,9 @@ def cups(mesh: TriangleMesh, up: FloatArray, rules: PrintSection) -> list[Violat
 
 def _grid(mesh: TriangleMesh, rules: PrintSection, *, cells_max: int) -> VoxelGrid | None:
     """Cells of a body with a margin for the drain's ball; None if cells are too coarse for it."""
+    coarse = 2.5  # drains narrower than this many cells are not searched
     drain, cell = rules.drain_min_mm, cell_size_mm(mesh, rules, cells_max)
-    return None if drain < COARSE * cell else fill(mesh, cell, drain / 2.0 + 2.0 * cell)
+    return None if drain < coarse * cell else fill(mesh, cell, drain / 2.0 + 2.0 * cell)
 
 
 def _trapped(
