@@ -16,7 +16,6 @@ from unittest import mock
 
 import pytest
 
-from phytac_design.cli import console_reporter
 from phytac_design.cli.console_reporter import ConsoleReporter
 from tests.decoder.toy_sensor import toy_recording
 from tests.test_cli import PHYTAC
@@ -58,20 +57,19 @@ def test_reports_keep_their_order_and_end_whole() -> None:
     assert lines == [f"line {number} µm" for number in range(100)]
 
 
-def test_nobody_waits_for_a_reader_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(console_reporter, "FLUSH_S", 0.3)
+def test_nobody_waits_for_a_reader_that_does_not_read() -> None:
     with piped() as pipe:
         fill(sys.stderr.fileno())
         begun = time.monotonic()
-        with ConsoleReporter() as report:
-            for number in range(3 * console_reporter.WAITING):
+        with ConsoleReporter(flush_s=0.3) as report:
+            for number in range(3 * report.waiting):
                 report(f"line {number}")
             assert time.monotonic() - begun < 1.0
         assert time.monotonic() - begun < 2.0
         # As soon as somebody reads, those that waited come, the oldest of them first.
         data = b""
         until = time.monotonic() + PATIENCE_S
-        while data.count(b"\n") < console_reporter.WAITING:
+        while data.count(b"\n") < report.waiting:
             assert time.monotonic() < until
             with contextlib.suppress(BlockingIOError):
                 data += os.read(pipe, 65536)

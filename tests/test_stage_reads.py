@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from phytac_decoder.io.bundle import load_bundle
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import design_hash, load_design
-from phytac_design.design.field_groups import COLOURS, FEET, HEIGHTS, fields_of, values_of
+from phytac_design.design.field_groups import PARTS, fields_of, values_of
 from phytac_design.design.layout_table import LayoutSection
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
@@ -52,7 +52,11 @@ def tiny(**tables: Any) -> Design:
 
 
 def test_every_field_of_the_layout_is_of_one_part() -> None:
-    parts = [*(name for name in FEET if name.startswith("layout.")), *HEIGHTS, *COLOURS]
+    parts = [
+        *(name for name in PARTS["places"] if name.startswith("layout.")),
+        *PARTS["heights"],
+        *PARTS["colours"],
+    ]
     assert sorted(parts) == sorted(f"layout.{name}" for name in LayoutSection.model_fields)
 
 

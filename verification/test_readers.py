@@ -16,7 +16,7 @@ from phytac_decoder.serving.wire_protocol import MessageSplitter, encode
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_design.design.camera_files import read_lens, write_lens
-from phytac_design.design.fixture_files import read_stl
+from phytac_design.design.fixture_table import read_stl
 from phytac_design.design.positions import read_positions
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.calibration.measurements import read_measurements

@@ -11,7 +11,7 @@ from phytac_design.cli.output import names_of, print_json, resumable
 
 def advise(
     design: DesignArgument,
-    accuracy: Annotated[Preset, typer.Option(help="Fineness of mechanics.")] = Preset.draft,
+    accuracy: Annotated[Preset, typer.Option(help="Fineness of mechanics.")] = "draft",
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", help="Change a setting of the preset: refine=5. May be repeated."),
@@ -45,7 +45,7 @@ def advise(
     from phytac_design.study.advice import refinement as polishing
 
     loaded = load_design(design)
-    chosen = with_settings(settings_of(accuracy.value), settings or [])
+    chosen = with_settings(settings_of(accuracy), settings or [])
     names = names_of(only)
     with resumable():
         if polish:

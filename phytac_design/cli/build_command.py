@@ -80,7 +80,7 @@ def build(
         loaded = load_design(design)
     target = out or Path("exports") / (f"{loaded.name}-{scene}" if scene else loaded.name)
     names = names_of(only)
-    chosen = with_settings(settings_of((accuracy or Preset.standard).value), settings or [])
+    chosen = with_settings(settings_of(accuracy or "standard"), settings or [])
     with resumable():
         if within:
             from phytac_design.cli.tradeoff_command import build_within

@@ -10,21 +10,24 @@ from typing import Self
 
 from phytac_design.cli.options import say
 
-WAITING = 256
-"""Reports that may wait for their reader; those that come after them go."""
-FLUSH_S = 1.0
-"""At the end the last reports have this long to go out."""
-
 
 class ConsoleReporter:
     """Lines on standard error, written by a thread of its own.
 
     A call returns at once, whatever is behind standard error: where a pipe is full or closed,
     reports are lost, and the stream continues.
+
+    Parameters
+    ----------
+    waiting : int
+        Reports that may wait for their reader; those that come after them go.
+    flush_s : float
+        At the end the last reports have this long to go out.
     """
 
-    def __init__(self) -> None:
-        self._waiting: queue.Queue[str | None] = queue.Queue(WAITING)
+    def __init__(self, waiting: int = 256, flush_s: float = 1.0) -> None:
+        self.waiting, self.flush_s = waiting, flush_s
+        self._waiting: queue.Queue[str | None] = queue.Queue(waiting)
         self._thread = threading.Thread(target=self._write, name="reports", daemon=True)
         self._thread.start()
 
@@ -37,9 +40,9 @@ class ConsoleReporter:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        until = time.monotonic() + FLUSH_S
+        until = time.monotonic() + self.flush_s
         with contextlib.suppress(queue.Full):
-            self._waiting.put(None, timeout=FLUSH_S)
+            self._waiting.put(None, timeout=self.flush_s)
         self._thread.join(timeout=max(until - time.monotonic(), 0.0))
 
     def _write(self) -> None:

@@ -6,9 +6,8 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -37,14 +36,7 @@ if TYPE_CHECKING:
     from phytac_decoder.serving.wire_protocol import Message
 
 
-class Estimator(StrEnum):
-    """Force estimators of a bundle."""
-
-    fem = "fem"
-    fem_nn = "fem_nn"
-    fem_nn_identity = "fem_nn_identity"
-    koi_inverse = "koi_inverse"
-    auto = "auto"
+Estimator = Literal["fem", "fem_nn", "fem_nn_identity", "koi_inverse", "auto"]
 
 
 def decode(
@@ -70,15 +62,14 @@ def decode(
     as_json: JsonOption = False,
 ) -> None:
     """Decode an image, a folder of images, a video or a camera to forces in newtons."""
-    chosen = estimator.value if estimator else None
     options = {"--csv": csv, "--parquet": parquet, "--record-regions": record_regions}
     files = {option: path for option, path in options.items() if path is not None}
     if not (files or rest_first or follow or fps) and all(map(is_image, frame)):
-        _decode_frame(bundle, frame, rest or [], chosen, regions, design, as_json=as_json)
+        _decode_frame(bundle, frame, rest or [], estimator, regions, design, as_json=as_json)
         return
     _check_files(files)
     session = open_session(
-        bundle, frame, chosen, rest, rest_first, follow=follow, regions=regions, design=design
+        bundle, frame, estimator, rest, rest_first, follow=follow, regions=regions, design=design
     )
     _decode_recording(session, frame, fps, files, as_json=as_json)
 

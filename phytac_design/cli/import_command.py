@@ -51,7 +51,7 @@ def import_(
     ] = 2.0,
     keep: Annotated[
         Keep, typer.Option(help="The network's inputs alone, all markers, or the frames as well.")
-    ] = Keep.points,
+    ] = "points",
     skip_bad: Annotated[
         bool, typer.Option("--skip-bad", help="Leave samples with problems out.")
     ] = False,
@@ -75,7 +75,7 @@ def import_(
             offset_s=offset,
             fps=fps,
             radius_mm=radius,
-            keep=keep.value,
+            keep=keep,
             skip_bad=skip_bad,
         ),
         progress=say,

@@ -2,30 +2,15 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, say
 from phytac_design.cli.output import names_of, print_json
 
-
-class Theory(StrEnum):
-    """Theories of the shell."""
-
-    auto = "auto"
-    linear = "linear"
-    large = "large"
-
-
-class Parameter(StrEnum):
-    """Parameters of a shell that can be calibrated."""
-
-    modulus = "modulus"
-    thickness = "thickness"
-    poisson = "poisson"
-
-
+Theory = Literal["auto", "linear", "large"]
+Parameter = StrEnum("Parameter", ["modulus", "thickness", "poisson"])
 AtOption = Annotated[
     str,
     typer.Option(help="Marker number, or chart position u,v; the middle if not given."),
@@ -48,7 +33,7 @@ def press(
     radius: RadiusOption = None,
     theory: Annotated[
         Theory, typer.Option(help="auto takes large displacements where linear is too far off.")
-    ] = Theory.auto,
+    ] = "auto",
     tolerance: Annotated[float, typer.Option(help="Accepted error of linear theory, %.")] = 5.0,
     refine: RefineOption = 4,
     receptors: Annotated[
@@ -71,7 +56,7 @@ def press(
     result = mechanics.press(
         sensor,
         place,
-        theory=theory.value,
+        theory=theory,
         tolerance=accepted,
         refine=refine,
         receptors=receptors,
@@ -141,7 +126,7 @@ def calibrate(
     measurements: Annotated[Path, typer.Argument(help="CSV of forces and displacements.")],
     fix: Annotated[list[Parameter] | None, typer.Option(help="Known: stays as designed.")] = None,
     limit: Annotated[float, typer.Option(help="Widest ± accepted.", min=0.001, max=1.0)] = 0.1,
-    accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = Preset.standard,
+    accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = "standard",
     out: Annotated[Path | None, typer.Option(help="Design file to write, calibrated.")] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -153,9 +138,13 @@ def calibrate(
     )
 
     loaded = load_design(design)
-    fixed = [parameter.value for parameter in fix or []]
     fit = calibrate_design(
-        loaded, measurements, fixed=fixed, limit=limit, accuracy=accuracy.value, progress=say
+        loaded,
+        measurements,
+        fixed=[one.value for one in fix or []],
+        limit=limit,
+        accuracy=accuracy,
+        progress=say,
     )
     if out:
         say(f"wrote {write_calibrated(loaded, fit, out)}")

@@ -3,20 +3,11 @@
 import errno
 import os
 import sys
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-
-class Preset(StrEnum):
-    """Accuracy presets."""
-
-    draft = "draft"
-    standard = "standard"
-    fine = "fine"
-
-
+Preset = Literal["draft", "standard", "fine"]
 DesignArgument = Annotated[str, typer.Argument(help="A shipped design or the path of a file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**31 - 1)]

@@ -21,7 +21,7 @@ def plan(
     ] = "",
     accuracy: Annotated[
         Preset, typer.Option(help="Settings that the scene starts from.")
-    ] = Preset.standard,
+    ] = "standard",
     build: Annotated[
         bool, typer.Option("--build", help="Build it, and compare the plan with the result.")
     ] = False,
@@ -47,7 +47,7 @@ def plan(
     everything = Scene(name="everything", outputs=("report",))
     wanted = load_scene(scene) if scene else everything
     check_design(loaded)
-    made = plan_scene(loaded, wanted, accuracy=PRESETS[accuracy.value], seed=seed)
+    made = plan_scene(loaded, wanted, accuracy=PRESETS[accuracy], seed=seed)
     if not as_json:
         print_plan(made)
     report: dict[str, Any] = made.as_dict()

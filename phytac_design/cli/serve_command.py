@@ -1,9 +1,8 @@
 """The command that streams forces, and what the commands that decode have in common."""
 
 import contextlib
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -74,11 +73,7 @@ DesignOption = Annotated[
 ]
 
 
-class Framing(StrEnum):
-    """How messages are separated."""
-
-    lines = "lines"
-    length = "length"
+Framing = Literal["lines", "length"]
 
 
 def serve(
@@ -93,7 +88,7 @@ def serve(
     ] = "127.0.0.1",
     framing: Annotated[
         Framing, typer.Option("--format", help="JSON lines, or each message after its length.")
-    ] = Framing.lines,
+    ] = "lines",
     estimator: EstimatorOption = None,
     rest: RestOption = None,
     rest_first: RestFirstOption = 0,
@@ -146,7 +141,7 @@ def serve(
                 messages.hello(),
                 host=host,
                 port=port,
-                framing=framing.value,
+                framing=framing,
                 serial=SerialPort(serial, baud=baud) if serial else None,
                 serial_hello=messages.hello(positions=False),
                 report=report,

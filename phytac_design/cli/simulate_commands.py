@@ -3,9 +3,8 @@
 import os
 from collections import Counter
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -13,16 +12,11 @@ from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOp
 from phytac_design.cli.output import print_json, resumable
 from phytac_shapes.errors import DesignError
 
-Route = StrEnum("Route", ["points", "frames"])
-Displacement = StrEnum("Displacement", ["auto", "linear", "large"])
+Route = Literal["points", "frames"]
+Displacement = Literal["auto", "linear", "large"]
 
 
-class Keep(StrEnum):
-    """What of a sample is kept."""
-
-    inputs = "inputs"
-    points = "points"
-    frames = "frames"
+Keep = Literal["inputs", "points", "frames"]
 
 
 def simulate(
@@ -34,9 +28,7 @@ def simulate(
         Path | None,
         typer.Option(help="The data set's own folder; exports/DESIGN-SCENARIO if not given."),
     ] = None,
-    accuracy: Annotated[
-        Preset, typer.Option(help="Fineness of the simulated wall.")
-    ] = Preset.standard,
+    accuracy: Annotated[Preset, typer.Option(help="Fineness of the simulated wall.")] = "standard",
     route: Annotated[
         Route | None,
         typer.Option(help="Projected points or rendered frames; the scenario's if not given."),
@@ -48,7 +40,7 @@ def simulate(
     keep: Annotated[
         Keep,
         typer.Option(help="The network's inputs alone, all markers, or the frames as well."),
-    ] = Keep.points,
+    ] = "points",
     unit: Annotated[
         int | None,
         typer.Option(min=0, help="0: as designed; k: the k-th virtual print; the scenario's."),
@@ -81,8 +73,8 @@ def simulate(
         )
     data = wanted.model_dump(mode="json", exclude_unset=True)
     for table, key, value in (
-        ("solve", "route", route and route.value),
-        ("solve", "displacement", displacement and displacement.value),
+        ("solve", "route", route),
+        ("solve", "displacement", displacement),
         ("unit", "number", unit),
         ("touch", "samples", samples),
     ):
@@ -92,8 +84,8 @@ def simulate(
         design=loaded,
         scenario=parse_scenario(data, scenario),
         seed=seed,
-        accuracy=accuracy.value,
-        keep=keep.value,
+        accuracy=accuracy,
+        keep=keep,
     )
     target = out or Path("exports") / f"{loaded.name}-{wanted.name}"
     count = workers or len(os.sched_getaffinity(0))

@@ -1,4 +1,4 @@
-"""The commands that train and evaluate decoders."""
+"""The commands that train, evaluate and export decoders."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,7 +30,7 @@ def train(
     ] = None,
     accuracy: Annotated[
         Preset, typer.Option(help="Fineness of the decoder's own mechanics.")
-    ] = Preset.standard,
+    ] = "standard",
     seed: SeedOption = 0,
     force: Annotated[
         bool, typer.Option(help="Overwrite a folder that holds something else.")
@@ -50,7 +50,7 @@ def train(
         samples=samples,
         seed=seed,
         start=start,
-        accuracy=accuracy.value,
+        accuracy=accuracy,
         force=force,
         progress=say,
     )
@@ -123,3 +123,33 @@ def _interval(measure: dict[str, Any], factor: float, digits: int) -> str:
     if measure["low"] is None:
         return "[too few samples for an interval]"
     return f"[{factor * measure['low']:.{digits}f}, {factor * measure['high']:.{digits}f}]"
+
+
+def export_onnx(
+    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
+    out: Annotated[Path, typer.Argument(help="File to write, such as network.onnx.")],
+    estimator: Annotated[
+        str, typer.Option(help="Whose network: fem_nn or fem_nn_identity.")
+    ] = "fem_nn",
+    as_json: JsonOption = False,
+) -> None:
+    """Write a decoder's network as ONNX, checked equal to the decoder's own."""
+    from phytac_design.training.onnx_export import INPUT, OPSET, OUTPUT
+    from phytac_design.training.onnx_export import export_onnx as run
+
+    difference = run(bundle, out, estimator=estimator)
+    if as_json:
+        facts = {
+            "out": str(out),
+            "estimator": estimator,
+            "input": INPUT,
+            "output": OUTPUT,
+            "opset": OPSET,
+            "difference": difference,
+        }
+        print_json(facts)
+        return
+    typer.echo(
+        f"{out}: network of {estimator}, {INPUT} to {OUTPUT}, opset {OPSET}; equal "
+        f"to the decoder's within {difference:.1g} of the largest stiffness"
+    )

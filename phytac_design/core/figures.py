@@ -13,11 +13,11 @@ def png(figure: Any) -> bytes:
     return buffer.getvalue()
 
 
-def new_figure(size: tuple[float, float], *, layout: str | None = "constrained") -> Any:
-    """Figure without axes, of a size in inches; with the default layout its parts don't overlap."""
+def new_figure(size: tuple[float, float], *, constrained: bool = True) -> Any:
+    """Figure without axes, of a size in inches; if constrained, its parts don't overlap."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=size, layout=layout)
+    return Figure(figsize=size, layout="constrained" if constrained else None)
 
 
 def svg(figure: Any) -> str:

@@ -9,8 +9,6 @@ from importlib import resources
 from typing import Any
 
 STYLE = (resources.files("phytac_design.core") / "page.css").read_text(encoding="utf-8")
-POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {}"
-"""Content security: a page fetches nothing."""
 DASH = "–"
 
 
@@ -110,7 +108,10 @@ def page(
     )
     links = "".join(f'<a href="#{slug(head)}">{escape(head)}</a>' for head, _ in sections)
     contents = f'<nav class="contents" aria-label="Sections">{links}</nav>' if tail else ""
-    policy = POLICY.format("'unsafe-inline'" if tail else "'none'")
+    # It fetches nothing.
+    policy = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src " + (
+        "'unsafe-inline'" if tail else "'none'"
+    )
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'

@@ -19,8 +19,6 @@ import numpy as np
 
 from phytac_shapes.errors import OutputError
 
-DIGEST_BYTES = 32
-
 
 class Journal:
     """Results by key, below ``folder``.
@@ -116,8 +114,8 @@ class Journal:
             data = self.path(key).read_bytes()
         except OSError:
             return None
-        body = data[DIGEST_BYTES:]
-        if sha256(body).digest() != data[:DIGEST_BYTES]:
+        digest, body = data[:32], data[32:]
+        if sha256(body).digest() != digest:
             return None
         with np.load(io.BytesIO(body), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

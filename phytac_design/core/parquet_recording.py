@@ -6,21 +6,6 @@ from typing import Any
 
 from phytac_shapes.errors import InputError, MissingPartError, OutputError, cause_of
 
-INTEGER_COLUMNS = ("sequence", "contacts", "contact", "id")
-"""Integer columns; empty where a frame has no contact."""
-TEXT_COLUMNS = ("markers", "region")
-NUMBER_COLUMNS = (
-    "timestamp_s",
-    "total_N",
-    "force_N",
-    "x_mm",
-    "y_mm",
-    "z_mm",
-    "size_mm",
-    "since_s",
-    "sd_N",
-)
-
 
 def to_parquet(
     recording: Path,
@@ -95,10 +80,21 @@ def parquet_library() -> Any:
 
 def _read(arrow: Any, recording: Path, report: Callable[[str], None]) -> Any:
     """The recording's table, typed."""
-    types = dict.fromkeys(INTEGER_COLUMNS, arrow.int64()) | dict.fromkeys(
-        NUMBER_COLUMNS, arrow.float64()
-    )
-    types |= dict.fromkeys(TEXT_COLUMNS, arrow.string()) | {"valid": arrow.bool_()}
+    numbers = [
+        "timestamp_s",
+        "total_N",
+        "force_N",
+        "x_mm",
+        "y_mm",
+        "z_mm",
+        "size_mm",
+        "since_s",
+        "sd_N",
+    ]
+    types = dict.fromkeys(numbers, arrow.float64()) | {"valid": arrow.bool_()}
+    # Empty where a frame has no contact.
+    types |= dict.fromkeys(("sequence", "contacts", "contact", "id"), arrow.int64())
+    types |= dict.fromkeys(("markers", "region"), arrow.string())
     try:
         data = recording.read_bytes()
         rows = data[: data.rfind(b"\n") + 1]

@@ -6,14 +6,13 @@ from contextlib import contextmanager
 
 THREADS = "PHYTAC_THREADS"
 """Environment variable that bounds the threads; processes that run side by side set it to 1."""
-LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables that set the threads of the common BLAS libraries, read at load time."""
 
 
 @contextmanager
 def one_thread_each(*others: str) -> Iterator[None]:
     """Processes started inside use one BLAS thread each; ``others`` are set to 1 as well."""
-    names = (*LIBRARIES, *others)
+    # The common BLAS libraries read these when they are loaded.
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", *others)
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(dict.fromkeys(names, "1"))
     try:

@@ -23,8 +23,6 @@ from phytac_design.core.threads import THREADS, one_thread_each
 
 START_S = 60.0
 """Added to the time limit of a new process's first task, for its imports."""
-EXIT_S = 5.0
-"""Wait for the exit code of a process that closed its pipe."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +198,7 @@ class _Process:
             value, error = self.pipe.recv()
         except (EOFError, OSError):
             self.dead = True
-            self.process.join(EXIT_S)
+            self.process.join(5.0)  # for its exit code
             lost = f"its process died (exit code {self.process.exitcode}; out of memory?)"
             return task, TaskResult(index=task.index, lost=lost)
         if error is not None:

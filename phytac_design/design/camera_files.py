@@ -4,6 +4,8 @@ Which of the three a file is shows in its keys. Poses are left out: they are of 
 """
 
 import math
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,31 +18,16 @@ from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import DesignError, InputError, OutputError, cause_of
 
 FileFormat = Literal["opencv", "ros", "kalibr"]
-ROS_MODELS = {
-    "plumb_bob": "brown_conrady",
-    "rational_polynomial": "brown_conrady",
-    "equidistant": "kannala_brandt",
-    "fisheye": "kannala_brandt",
-}
-KNOWN = "OpenCV (camera_matrix), ROS camera_info (camera_matrix, distortion_model), Kalibr (cam0)"
 
 
-BROKEN = (
-    KeyError,
-    TypeError,
-    ValueError,
-    IndexError,
-    OverflowError,
-    SystemError,
-    yaml.YAMLError,
-    cv2.error,
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no types
+    """YAML with the matrices of OpenCV."""
+
+
+_Loader.add_constructor(
+    "tag:yaml.org,2002:opencv-matrix",
+    lambda loader, node: loader.construct_mapping(node, deep=True)["data"],
 )
-"""What OpenCV's and Python's readers of YAML raise; the first makes SystemErrors of some."""
-AGAIN = "export it again from the calibration tool, as one of the kinds in docs/formats.md"
-SHOWN = 300
-"""Letters of a fault that a message shows."""
-BYTES_MAX = 1 << 17
-"""A calibration has a few hundred bytes, and YAML takes its time."""
 
 
 def read_lens(path: Path) -> Lens:
@@ -51,8 +38,10 @@ def read_lens(path: Path) -> Lens:
     InputError
         If the file is missing, is none of the three kinds, or lacks or garbles a number.
     """
+    again = "export it again from the calibration tool, as one of the kinds in docs/formats.md"
     try:
-        text = read_text(path, bytes_max=BYTES_MAX)
+        # A calibration has a few hundred bytes, and YAML takes its time.
+        text = read_text(path, bytes_max=1 << 17)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
             "file-unreadable",
@@ -60,9 +49,11 @@ def read_lens(path: Path) -> Lens:
             "YAML file",
         ) from error
     try:
-        if text.lstrip().startswith("%YAML:1.0") or "!!opencv-matrix" in text:
-            return _read_opencv(path)
-        data = yaml.safe_load(text)
+        opencv = text.lstrip().startswith("%YAML:1.0") or "!!opencv-matrix" in text
+        # OpenCV's first line is no directive of YAML.
+        data = yaml.load(re.sub(r"\A\s*%YAML:.*", "", text), _Loader)  # noqa: S506 - a safe one
+        if opencv and isinstance(data, dict):
+            return _read_opencv(data)
         if isinstance(data, dict) and "cam0" in data:
             return _read_kalibr(data["cam0"])
         if isinstance(data, dict) and "distortion_model" in data:
@@ -70,22 +61,23 @@ def read_lens(path: Path) -> Lens:
     except RecursionError:
         raise InputError(
             "lens-file-invalid",
-            f"camera calibration {path} is not usable: nested too deeply; {AGAIN}",
+            f"camera calibration {path} is not usable: nested too deeply; {again}",
         ) from None
-    except BROKEN as error:
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError, yaml.YAMLError) as error:
         what = (
             f"{error} is missing"
             if isinstance(error, KeyError)
             else " ".join(cause_of(error).split())
         )
         raise InputError(
-            "lens-file-invalid", f"camera calibration {path} is not usable: {what[:SHOWN]}; {AGAIN}"
+            "lens-file-invalid", f"camera calibration {path} is not usable: {what[:300]}; {again}"
         ) from error
     except DesignError as error:
         raise InputError(error.code, f"camera calibration {path} is not usable: {error}") from error
     raise InputError(
         "lens-file-unknown-format",
-        f"camera calibration {path} is of no known kind (known: {KNOWN})",
+        f"camera calibration {path} is of no known kind (known: OpenCV (camera_matrix), ROS "
+        "camera_info (camera_matrix, distortion_model), Kalibr (cam0))",
     )
 
 
@@ -134,9 +126,7 @@ def write_lens(lens: Lens, path: Path, file_format: FileFormat, *, name: str = "
     return path
 
 
-def _make(
-    model: str, size: Any, matrix: tuple[float, float, float, float], distortion: Any
-) -> Lens:
+def _make(model: str, size: Any, matrix: Sequence[float], distortion: Any) -> Lens:
     """Lens from size (w, h), (fx, fy, cx, cy) and coefficients."""
     coefficients = tuple(float(value) for value in np.ravel(distortion))
     if model == "brown_conrady" and not any(coefficients):
@@ -153,46 +143,40 @@ def _make(
     )
 
 
-def _four(matrix: Any) -> tuple[float, float, float, float]:
+def _four(matrix: Any) -> list[float]:
     """(fx, fy, cx, cy) of nine numbers; skew is refused, no model here has it."""
     k = np.asarray(matrix, dtype=np.float64).reshape(3, 3)
     if abs(k[0, 1]) > 1e-9 * abs(k[0, 0]):
         raise ValueError(f"skewed pixels are not modelled (got skew {k[0, 1]:g} px)")
-    return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+    return [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
 
 
-def _read_opencv(path: Path) -> Lens:
+def _read_opencv(data: dict[str, Any]) -> Lens:
     """Read the file of OpenCV's calibration samples; ``camera_model`` or ``xi`` marks a fisheye."""
-    store = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    try:
-        values = {key: store.getNode(key) for key in store.root().keys()}  # noqa: SIM118 - not a dict
-        matrix = next((values[k].mat() for k in ("camera_matrix", "K") if k in values), None)
-        bent = next(
-            (values[k].mat() for k in ("distortion_coefficients", "D") if k in values), None
+    matrix = data.get("camera_matrix", data.get("K"))
+    bent = data.get("distortion_coefficients", data.get("D"))
+    if matrix is None or bent is None:
+        raise ValueError("camera_matrix or distortion_coefficients is missing")
+    size = (data["image_width"], data["image_height"])
+    if "xi" in data:
+        return _make(
+            "omnidirectional", size, _four(matrix), [*np.ravel(data["xi"]), *np.ravel(bent)]
         )
-        if matrix is None or bent is None:
-            raise ValueError("camera_matrix or distortion_coefficients is missing")
-        size = (values["image_width"].real(), values["image_height"].real())
-        bent = np.ravel(bent)
-        name = values["camera_model"].string() if "camera_model" in values else ""
-        fisheye = "fisheye_model" in values and values["fisheye_model"].real() != 0
-        if "xi" in values:
-            node = values["xi"]
-            xi = float(np.ravel(node.mat())[0]) if node.isMap() else node.real()
-            return _make("omnidirectional", size, _four(matrix), [xi, *bent])
-        model = "kannala_brandt" if fisheye or name == "fisheye" else "brown_conrady"
-        return _make(model, size, _four(matrix), bent)
-    finally:
-        store.release()
+    fisheye = data.get("fisheye_model") or data.get("camera_model") == "fisheye"
+    return _make("kannala_brandt" if fisheye else "brown_conrady", size, _four(matrix), bent)
 
 
 def _read_ros(data: dict[str, Any]) -> Lens:
     """Read the file of ROS's ``camera_info_manager``, or an echoed message (K, D in place)."""
+    models = {
+        "plumb_bob": "brown_conrady",
+        "rational_polynomial": "brown_conrady",
+        "equidistant": "kannala_brandt",
+        "fisheye": "kannala_brandt",
+    }
     model = str(data["distortion_model"])
-    if model not in ROS_MODELS:
-        raise ValueError(
-            f"distortion_model {model!r} is not known (known: {', '.join(ROS_MODELS)})"
-        )
+    if model not in models:
+        raise ValueError(f"distortion_model {model!r} is not known (known: {', '.join(models)})")
     size = [data[key] if key in data else data[f"image_{key}"] for key in ("width", "height")]
     matrix = data["camera_matrix"]["data"] if "camera_matrix" in data else _either(data, "k")
     bent = (
@@ -200,7 +184,7 @@ def _read_ros(data: dict[str, Any]) -> Lens:
         if "distortion_coefficients" in data
         else _either(data, "d")
     )
-    return _make(ROS_MODELS[model], size, _four(matrix), bent)
+    return _make(models[model], size, _four(matrix), bent)
 
 
 def _either(data: dict[str, Any], key: str) -> Any:
@@ -215,20 +199,15 @@ def _read_kalibr(data: dict[str, Any]) -> Lens:
     coefficients = [float(value) for value in data.get("distortion_coeffs", [])]
     size = data["resolution"]
     if camera == "pinhole" and bent == "equidistant":
-        return _make("kannala_brandt", size, _tuple4(numbers), coefficients)
+        return _make("kannala_brandt", size, numbers, coefficients)
     if camera == "pinhole" and bent in ("radtan", "none"):
-        return _make("brown_conrady", size, _tuple4(numbers), coefficients)
+        return _make("brown_conrady", size, numbers, coefficients)
     if camera == "omni" and bent in ("radtan", "none"):
-        return _make("omnidirectional", size, _tuple4(numbers[1:]), [numbers[0], *coefficients])
+        return _make("omnidirectional", size, numbers[1:], [numbers[0], *coefficients])
     raise ValueError(
         f"camera model {camera!r} with distortion {bent!r} is not known (known: pinhole and omni "
         "with radtan or none, pinhole with equidistant)"
     )
-
-
-def _tuple4(numbers: list[float]) -> tuple[float, float, float, float]:
-    fx, fy, cx, cy = numbers
-    return fx, fy, cx, cy
 
 
 def _matrix(lens: Lens) -> list[float]:

@@ -9,65 +9,49 @@ from typing import Any
 
 from phytac_design.design.spec import Design
 
-LENS = tuple(
-    f"camera.{name}"
-    for name in (
-        "model",
-        "width_px",
-        "height_px",
-        "focal_px",
-        "focal_ratio",
-        "centre_offset_px",
-        "distortion",
-        "ends",
-        "stand_off_mm",
-        "fill",
-    )
-)
-CAMERAS = ("shape", "wall.thickness_mm", "light", *LENS)
-"""Where the cameras stand and what their lenses do; they keep clear of wall and light bar."""
-FEET = (
-    "shape",
-    "wall.thickness_mm",
-    *(
-        f"layout.{name}"
-        for name in (
-            "kind",
-            "rows",
-            "columns",
-            "count",
-            "spiral_angle_deg",
-            "spiral_from",
-            "row_pitch_exponent",
-            "positions_csv",
-            "positions",
-        )
-    ),
-    "receptor.direction",
-    "receptor.tilt_deg",
-)
-"""Where receptors stand, and along what."""
-CLEAR = ("receptor.diameter_outer_mm", "switch.footprint_diameter_mm")
-"""Scattered receptors and their switches keep clear of open edges."""
-HEIGHTS = tuple(
-    f"layout.{name}"
-    for name in (
-        "heights",
-        "height_near_mm",
-        "height_far_mm",
-        "height_exponent",
-        "sight_margin_mm",
-        "sight_dent_mm",
-        "sight_dent_radius_mm",
-        "position_heights_mm",
-    )
-)
-SIGHT = ("receptor.diameter_outer_mm", "receptor.band_marker_mm", *CAMERAS)
-"""Heights that clear the neighbours' lines of sight."""
-COLOURS = ("layout.colours", "layout.colour_pattern", "layout.position_colours")
 RECEPTORS = ("feet", "tubes", "markers")
 PARTS: dict[str, tuple[str, ...]] = {
-    "cameras": CAMERAS,
+    "lens": (
+        "camera.model",
+        "camera.width_px",
+        "camera.height_px",
+        "camera.focal_px",
+        "camera.focal_ratio",
+        "camera.centre_offset_px",
+        "camera.distortion",
+        "camera.ends",
+        "camera.stand_off_mm",
+        "camera.fill",
+    ),
+    # Where the cameras stand and what their lenses do; they keep clear of wall and light bar.
+    "cameras": ("shape", "wall.thickness_mm", "light", "lens"),
+    # Where receptors stand, and along what.
+    "places": (
+        "shape",
+        "wall.thickness_mm",
+        "layout.kind",
+        "layout.rows",
+        "layout.columns",
+        "layout.count",
+        "layout.spiral_angle_deg",
+        "layout.spiral_from",
+        "layout.row_pitch_exponent",
+        "layout.positions_csv",
+        "layout.positions",
+        "receptor.direction",
+        "receptor.tilt_deg",
+    ),
+    "heights": (
+        "layout.heights",
+        "layout.height_near_mm",
+        "layout.height_far_mm",
+        "layout.height_exponent",
+        "layout.sight_margin_mm",
+        "layout.sight_dent_mm",
+        "layout.sight_dent_radius_mm",
+        "layout.position_heights_mm",
+    ),
+    "colours": ("layout.colours", "layout.colour_pattern", "layout.position_colours"),
     # What a camera looks at, besides the markers.
     "bodies": (
         "wall",
@@ -101,36 +85,37 @@ PARTS: dict[str, tuple[str, ...]] = {
 
 
 def fields_of(design: Design, names: Iterable[str]) -> tuple[str, ...]:
-    """Tables and fields that these names stand for in a design, sorted, without repeats."""
+    """Tables and fields that these names stand for in a design, sorted, without repeats.
+
+    ``feet``, ``tubes`` (with heights) and ``markers`` (with colours) are the receptors.
+    """
     found: set[str] = set()
     for name in names:
-        if name in RECEPTORS:
-            found |= set(receptor_fields(design, name))
-        elif name in PARTS:
-            found |= set(fields_of(design, PARTS[name]))
-        else:
-            found.add(name)
+        parts = receptor_parts(design, name) if name in RECEPTORS else PARTS.get(name)
+        found |= {name} if parts is None else set(fields_of(design, parts))
     tables = {name for name in found if "." not in name}
     return tuple(
         sorted(name for name in found if "." not in name or name.partition(".")[0] not in tables)
     )
 
 
-def receptor_fields(design: Design, name: str) -> tuple[str, ...]:
-    """Fields that a design's ``feet``, ``tubes`` (with heights), ``markers`` (with colours) read.
+def receptor_parts(design: Design, name: str) -> tuple[str, ...]:
+    """Parts and fields that a design's ``feet``, ``tubes`` or ``markers`` depend on.
 
-    Where the layout is scattered, or heights follow lines of sight, they read more.
+    Where the layout is scattered, or heights follow lines of sight, they depend on more.
     """
     layout = design.layout
-    found = [*FEET]
+    found = ["places"]
     if layout.kind in {"phyllotaxis", "explicit"}:
-        found += CLEAR
+        # Scattered receptors and their switches keep clear of open edges.
+        found += ["receptor.diameter_outer_mm", "switch.footprint_diameter_mm"]
     if name in {"tubes", "markers"}:
-        found += HEIGHTS
+        found.append("heights")
         if layout.heights == "line-of-sight" and not layout.position_heights_mm:
-            found += SIGHT
+            # They clear the neighbours' lines of sight.
+            found += ["receptor.diameter_outer_mm", "receptor.band_marker_mm", "cameras"]
     if name == "markers":
-        found += COLOURS
+        found.append("colours")
     return tuple(found)
 
 

@@ -3,12 +3,16 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from phytac_design.design.base_table import Section
-from phytac_design.design.fixture_files import TRIANGLES_MAX, read_stl
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.bounded_reader import read_bytes
+from phytac_shapes.errors import DesignError
 
-FIXTURES_MAX = 12
+TRIANGLES_MAX = 5000
+"""A fixture becomes part of the design file; more would make that unwieldy."""
 Length = Annotated[float, Field(ge=-1e4, le=1e4)]
 Point = tuple[Length, Length, Length]
 
@@ -98,3 +102,57 @@ class MeshFixture(Fixture):
 
 
 AnyFixture = Annotated[CylinderFixture | BoxFixture | MeshFixture, Field(discriminator="kind")]
+
+
+def read_stl(path: Path) -> dict[str, Any]:
+    """Read ``vertices_mm`` and ``triangles`` of a fixture; equal corners become one.
+
+    Raises
+    ------
+    DesignError
+        If the file cannot be read, is not STL, holds no triangle or too many.
+    """
+    try:
+        # Enough for fifty times as many triangles, written as text.
+        data = read_bytes(path, bytes_max=1 << 24)
+    except OSError as error:
+        raise DesignError(
+            "fixture-file-unreadable",
+            f"cannot read the fixture {path}: {error.strerror}; file is relative to the "
+            "design file",
+        ) from None
+    corners = _corners(data)
+    if corners is None or len(corners) == 0 or not np.isfinite(corners).all():
+        raise DesignError(
+            "fixture-file-invalid",
+            f"{path} is not an STL file with triangles; export the fixture as STL (binary or text)",
+        )
+    if len(corners) > TRIANGLES_MAX:
+        raise DesignError(
+            "fixture-too-many-triangles",
+            f"{path} has {len(corners)} triangles, more than {TRIANGLES_MAX}; export the fixture "
+            "coarser, its outline is all that matters",
+        )
+    points, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    # Printed with six digits the float32 numbers of the file look as its author wrote them.
+    return {
+        "vertices_mm": [[float(f"{x:.6g}") for x in point] for point in points],
+        "triangles": index.reshape(-1, 3).tolist(),
+    }
+
+
+def _corners(data: bytes) -> FloatArray | None:
+    """Corners (T, 3, 3) of an STL file's bytes; None if it is not one."""
+    head = 84
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+    count = int.from_bytes(data[head - 4 : head], "little")
+    if len(data) >= head and len(data) == head + count * record.itemsize:
+        records = np.frombuffer(data, dtype=record, offset=head)
+        return np.asarray(records["corners"], dtype=np.float64)
+    try:
+        words = data.decode("ascii").split()
+        places = [i for i, word in enumerate(words) if word == "vertex"]
+        numbers = [[float(word) for word in words[i + 1 : i + 4]] for i in places]
+        return np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
+    except (UnicodeDecodeError, ValueError):
+        return None

@@ -9,12 +9,6 @@ import numpy as np
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import DesignError
 
-CHART, SPACE = ("u", "v"), ("x_mm", "y_mm", "z_mm")
-FURTHER = ("colour", "height_mm")
-LINES_MAX = 50_000
-SHOWN = 120
-"""Characters of a bad first line that its message shows."""
-
 
 def read_positions(path: Path) -> dict[str, Any]:
     """Read ``positions``, ``position_colours`` and ``position_heights_mm`` of a design's layout.
@@ -52,25 +46,25 @@ def read_positions(path: Path) -> dict[str, Any]:
             "position on each",
         )
     (first, names), rows = lines[0], lines[1:]
-    place = CHART if set(CHART) <= set(names) else SPACE
-    known = {*place, *FURTHER}
+    place = ("u", "v") if {"u", "v"} <= set(names) else ("x_mm", "y_mm", "z_mm")
+    known = {*place, "colour", "height_mm"}
     if not set(place) <= set(names) <= known or len(set(names)) != len(names):
         raise DesignError(
             "positions-columns",
             f"{path}, line {first}: columns must be u,v or x_mm,y_mm,z_mm, then colour and "
-            f"height_mm if wanted (got {','.join(names)[:SHOWN]})",
+            f"height_mm if wanted (got {','.join(names)[:120]})",
         )
-    if not 1 <= len(rows) <= LINES_MAX:
+    rows_max = 50_000
+    if not 1 <= len(rows) <= rows_max:
         raise DesignError(
             "positions-count",
-            f"{path} has {len(rows)} positions; give 1 to {LINES_MAX}, one on each line",
+            f"{path} has {len(rows)} positions; give 1 to {rows_max}, one on each line",
         )
     table = [_row(path, number, names, cells) for number, cells in rows]
     out: dict[str, Any] = {"positions": [[row[name] for name in place] for row in table]}
-    if "colour" in names:
-        out["position_colours"] = [row["colour"] for row in table]
-    if "height_mm" in names:
-        out["position_heights_mm"] = [row["height_mm"] for row in table]
+    for name, field in (("colour", "position_colours"), ("height_mm", "position_heights_mm")):
+        if name in names:
+            out[field] = [row[name] for row in table]
     return out
 
 
@@ -104,7 +98,7 @@ def _row(path: Path, number: int, names: list[str], cells: list[str]) -> dict[st
             wanted = "a height above 0" if name == "height_mm" else "a number"
             raise DesignError(
                 "positions-value-invalid",
-                f"{path}, line {number}: {name} must be {wanted} (got {cell[:SHOWN]!r})",
+                f"{path}, line {number}: {name} must be {wanted} (got {cell[:120]!r})",
             )
         row[name] = value
     return row

@@ -6,8 +6,6 @@ from pydantic import Field, model_validator
 
 from phytac_design.design.base_table import Section
 
-TABLES_MAX = 256
-
 Id = Annotated[int, Field(ge=0, strict=True)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 

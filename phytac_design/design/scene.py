@@ -23,7 +23,6 @@ Output = Literal[
     "report",
 ]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
-REGIONS_MAX = 64
 ALL_AT_ONCE = 5
 """Maximum number of simultaneous contacts of a build without a scene."""
 
@@ -89,7 +88,7 @@ class Scene(Section):
     error_allowed: float = Field(0.02, gt=0.0, le=1.0)
     """Accepted relative error of a force."""
     contacts: ContactSection = ContactSection()
-    regions: tuple[SceneRegionSection, ...] = Field((), max_length=REGIONS_MAX)
+    regions: tuple[SceneRegionSection, ...] = Field((), max_length=64)
     """Parts of the surface that are touched; none: the whole surface."""
 
     @property
@@ -104,13 +103,11 @@ class Scene(Section):
 
     @property
     def networks(self) -> bool:
-        """Whether the networks of the paper are trained."""
-        return self.estimator == "fem_nn" or "report" in self.outputs
+        """Whether the networks of the paper are trained, on the design's number of samples.
 
-    @property
-    def samples(self) -> bool:
-        """Whether the design's number of samples is simulated, rather than a few for evaluation."""
-        return self.networks
+        Without, a few samples are simulated for evaluation.
+        """
+        return self.estimator == "fem_nn" or "report" in self.outputs
 
     @property
     def at_once(self) -> int:
@@ -133,7 +130,6 @@ SCENE_DEFAULTS: dict[str, Any] = {
     "name": None,
     "pictures": True,
     "networks": True,
-    "samples": True,
     "at_once": ALL_AT_ONCE,
     "regions": [],
     "reach_mm": None,
@@ -144,11 +140,6 @@ SCENE_DEFAULTS: dict[str, Any] = {
 SCENE_FILES = TomlFileKind(
     noun="scene", folder="scenes", missing="see docs/plan.md for what it means"
 )
-
-
-def shipped_scenes() -> list[str]:
-    """Names of the scenes that come with the package."""
-    return SCENE_FILES.shipped()
 
 
 def load_scene(name_or_path: str) -> Scene:

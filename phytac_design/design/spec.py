@@ -9,17 +9,14 @@ import phytac_shapes
 from phytac_decoder.camera.lens import LENSES, Lens
 from phytac_design.design.base_table import Section, assumed
 from phytac_design.design.documents_table import BenchSection, KitSection
-from phytac_design.design.fixture_table import FIXTURES_MAX, AnyFixture
+from phytac_design.design.fixture_table import AnyFixture
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.design.layout_table import LayoutSection, ReceptorSection
 from phytac_design.design.print_rules_table import PrintSection
-from phytac_design.design.regions_table import TABLES_MAX, RegionSection
+from phytac_design.design.regions_table import RegionSection
 from phytac_design.design.switch_table import MoldSection, SwitchSection
 from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError
-
-PIXELS_MAX = 64_000_000
-"""Largest image that is rendered and segmented (about 3 GB of working memory)."""
 
 
 class ShapeSection(Section):
@@ -92,10 +89,6 @@ CAMERA_PRESETS: dict[str, dict[str, float]] = {
     "paper_480fps": {"width_px": 640, "height_px": 480, "frame_rate_Hz": 480.0, "focal_px": 239.5},
 }
 """Both cameras of the paper; it states no focal lengths: the same field of view is assumed."""
-LENS_FIELDS = (
-    "model", "width_px", "height_px", "focal_px", "focal_ratio", "centre_offset_px", "distortion",
-)  # fmt: skip
-"""Fields that a calibration file sets."""
 
 
 class CameraSection(Section):
@@ -158,7 +151,8 @@ class CameraSection(Section):
             from phytac_design.design.camera_files import calibrated_fields
 
             folder = (info.context or {}).get("folder", ".")
-            twice = [key for key in LENS_FIELDS if key in data]
+            lens = "model width_px height_px focal_px focal_ratio centre_offset_px distortion"
+            twice = [key for key in lens.split() if key in data]
             if twice:
                 raise ValueError(
                     f"calibration sets {', '.join(twice)} as well (got both); leave out one"
@@ -176,11 +170,12 @@ class CameraSection(Section):
 
     @model_validator(mode="after")
     def _fits_in_memory(self) -> Self:
-        pixels = self.width_px * self.height_px
-        if pixels > PIXELS_MAX:
+        # Larger images need more than 3 GB to be rendered and segmented.
+        pixels, pixels_max = self.width_px * self.height_px, 64_000_000
+        if pixels > pixels_max:
             raise ValueError(
                 f"{self.width_px} x {self.height_px} px are {pixels / 1e6:.0f} megapixels, more "
-                f"than {PIXELS_MAX / 1e6:.0f}; lower width_px and height_px, or bin the image"
+                f"than {pixels_max / 1e6:.0f}; lower width_px and height_px, or bin the image"
             )
         return self
 
@@ -283,9 +278,9 @@ class Design(Section):
     hardware: HardwareSection = HardwareSection()
     training: TrainingSection = TrainingSection()
     demands: DemandsSection = DemandsSection()
-    regions: tuple[RegionSection, ...] = Field((), max_length=TABLES_MAX)
+    regions: tuple[RegionSection, ...] = Field((), max_length=256)
     """Named parts of the surface, such as fingers and a palm, whose forces the decoder reports."""
-    fixtures: tuple[AnyFixture, ...] = Field((), max_length=FIXTURES_MAX)
+    fixtures: tuple[AnyFixture, ...] = Field((), max_length=12)
     """Bodies that the camera sees and that can hide markers: `cylinder`, `box` or `mesh` (STL)."""
 
     def surface(self) -> Surface:

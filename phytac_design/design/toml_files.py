@@ -12,8 +12,6 @@ from pydantic import BaseModel, ValidationError
 from phytac_shapes.bounded_reader import joined, read_text, toml_table
 from phytac_shapes.errors import DesignError
 
-VALUE_LENGTH_MAX = 120
-"""Characters of a rejected value in its message."""
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -171,4 +169,4 @@ def _literal(value: Any) -> str:
         text = repr(value)
     except ValueError:
         return "a number of thousands of digits"
-    return text if len(text) <= VALUE_LENGTH_MAX else f"{text[:VALUE_LENGTH_MAX]}…"
+    return text if len(text) <= 120 else f"{text[:120]}…"

@@ -13,10 +13,6 @@ from phytac_shapes.errors import InputError
 
 PICTURES = (("camera.jpg", "The camera's view at rest"), ("pressed_close_5.jpg", "Pressed"))
 """Images of each build that are shown side by side."""
-SCRIPT_FALLBACKS = ("shell.png", "layout.png")
-"""Images for print and for browsers without scripts."""
-FILE_BYTES_MAX = 1 << 26
-"""Largest file of a build that is read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +145,7 @@ def _read(folder: Path) -> Build:
         _check(report, viewer)
         images = {
             name: _bytes(path)
-            for name in (*SCRIPT_FALLBACKS, *(name for name, _ in PICTURES))
+            for name in ("shell.png", "layout.png", *(name for name, _ in PICTURES))
             if (path := folder / "report" / "images" / name).is_file()
         }
     except OSError as error:
@@ -177,7 +173,7 @@ def _read(folder: Path) -> Build:
 def _bytes(path: Path) -> bytes:
     """Bytes of a regular file; errors name it."""
     try:
-        return read_bytes(path, bytes_max=FILE_BYTES_MAX)
+        return read_bytes(path, bytes_max=1 << 26)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
 

@@ -8,7 +8,7 @@ from typing import Any, get_args
 from phytac_design.core import html as page
 from phytac_design.report import verdict
 from phytac_design.report.built_sensors import FIGURES, PICTURES, Build, keyed
-from phytac_design.report.viewer.assets import PAGE_SCRIPTS, data_tag, script_tags, style
+from phytac_design.report.viewer.assets import data_tag, script_tags, style
 from phytac_design.report.viewer.data import LOG_RANGE
 
 
@@ -159,5 +159,5 @@ def compare_page(builds: Sequence[Build]) -> str:
         ],
         f'{note}<p class="note">{escape(verdict.SIMULATED)}</p>',
         style=style(),
-        tail=tags + script_tags(PAGE_SCRIPTS),
+        tail=tags + script_tags(),
     )

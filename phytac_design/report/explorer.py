@@ -16,8 +16,6 @@ from phytac_shapes.arrays import FloatArray
 
 GAP_PX = 60.0
 """Gaps are shown up to this."""
-FORCE_N = 10.0
-"""Force of the contact whose bounds are shown."""
 DATA_ID = "phytac-data"
 
 
@@ -31,6 +29,7 @@ def colourings_of(context: Context, estimator: str) -> list[Colouring]:
     """
     views, load = context.arrays("views"), context.arrays("underload")
     bound = context.arrays("resolution")
+    force = "10"  # N, of the contact whose bounds are shown
     clipped = f"{GAP_PX:g} px and more alike"
     number, paint, height = base_colourings(context.markers)
     press = f"any press with {context.design.training.force_max_N:g} N"
@@ -59,17 +58,17 @@ def colourings_of(context: Context, estimator: str) -> list[Colouring]:
         height,
         Colouring(
             "bound_N",
-            f"resolution of {FORCE_N:g} N",
-            bound[f"force_N_{FORCE_N:g}"],
+            f"resolution of {force} N",
+            bound[f"force_N_{force}"],
             "N",
             "smallest standard deviation (Cramér-Rao bound)",
         ),
         Colouring(
             "bound_along_mm",
             "resolution of place, along",
-            bound[f"along_mm_{FORCE_N:g}"],
+            bound[f"along_mm_{force}"],
             "mm",
-            f"the same for the place of a contact of {FORCE_N:g} N",
+            f"the same for the place of a contact of {force} N",
         ),
         Colouring(
             "softness",

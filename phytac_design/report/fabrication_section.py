@@ -9,29 +9,6 @@ from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.report import figure_names
 from phytac_design.report.verdict import sentence
 
-SHELL_FILE = "shell/shell.stl"
-LISTED = 40
-"""Broken rules that the page lists."""
-DOCUMENTS = (
-    ("bench/assembly.html", "assembly sheet"),
-    ("bench/paint_map.pdf", "paint map, 1:1"),
-    ("bench/switch_placement.csv", "which switch goes where"),
-    ("bench/bill_of_materials.csv", "bill of materials"),
-    ("bench/casting.md", "casting recipe"),
-    ("shell/print_report.svg", "print report"),
-    ("kit/README.md", "calibration kit"),
-)
-"""Files of the build that the section links to, relative to its folder."""
-MOLD_FACTS = (
-    "way",
-    "cavities",
-    "volume_error",
-    "hausdorff_mm",
-    "least_draft_deg",
-    "undercut_mm2",
-    "shared_mm3",
-)
-
 
 def fabrication_facts(facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Entry of ``report.json`` on fabrication, from the facts of its stages."""
@@ -40,7 +17,18 @@ def fabrication_facts(facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "mass_g": bench.get("mass_g", {}),
         "poured_mm3": mold.get("poured_mm3", {}),
-        "mold": {key: mold.get(key) for key in MOLD_FACTS},
+        "mold": {
+            key: mold.get(key)
+            for key in (
+                "way",
+                "cavities",
+                "volume_error",
+                "hausdorff_mm",
+                "least_draft_deg",
+                "undercut_mm2",
+                "shared_mm3",
+            )
+        },
         "interference_mm3": (hardware.get("interference") or {}).get("shared_mm3"),
         "light_leaks": (hardware.get("light") or {}).get("leaks"),
         "screws": hardware.get("joints", []),
@@ -63,7 +51,7 @@ def _left_out(hardware: Mapping[str, Any]) -> str:
 def print_rules(context: Context) -> str:
     """The shell as it would be printed, how to stand it, and every broken rule, as HTML."""
     printed = context.facts("printing")
-    shell = printed["files"][SHELL_FILE]
+    shell = printed["files"]["shell/shell.stl"]
     drawn = context.folders["printing"] / EXPORT / "shell" / "print_report.svg"
     standing = shell["orientation"]
     keys = ("rule", "measured", "asked", "unit", "point_mm", "fix")
@@ -73,9 +61,12 @@ def print_rules(context: Context) -> str:
         for item in part["violations"]
     ]
     head = ("file", "rule", "measured", "asked", "unit", "place (mm)", "what to change")
-    listed = page.table(head, broken[:LISTED]) if broken else "<p>No print rule is broken.</p>"
-    if len(broken) > LISTED:
-        listed += f'<p class="foot">{LISTED} of {len(broken)}; shell/print_report.json has all.</p>'
+    rows_max = 40
+    listed = page.table(head, broken[:rows_max]) if broken else "<p>No print rule is broken.</p>"
+    if len(broken) > rows_max:
+        listed += (
+            f'<p class="foot">{rows_max} of {len(broken)}; shell/print_report.json has all.</p>'
+        )
     text = (
         f"<p>Rules of {escape(str(printed['process']))}; this way up (a direction in the sensor's "
         f"frame): {page.number(standing['up'])}, {page.number(standing['height_mm'])} mm high, "
@@ -90,7 +81,16 @@ def print_rules(context: Context) -> str:
 def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
     """HTML of the section."""
     facts = report["fabrication"]
-    documents = ", ".join(f'<a href="../{path}">{escape(name)}</a>' for path, name in DOCUMENTS)
+    files = {
+        "bench/assembly.html": "assembly sheet",
+        "bench/paint_map.pdf": "paint map, 1:1",
+        "bench/switch_placement.csv": "which switch goes where",
+        "bench/bill_of_materials.csv": "bill of materials",
+        "bench/casting.md": "casting recipe",
+        "shell/print_report.svg": "print report",
+        "kit/README.md": "calibration kit",
+    }
+    documents = ", ".join(f'<a href="../{path}">{name}</a>' for path, name in files.items())
     joints = [
         (item["joint"], item["screw"], item["count"], item["head_part"], item["thread_part"])
         for item in facts["screws"]

@@ -48,9 +48,9 @@ def surface_html(surface: Surface) -> str:
 
 def chart_map(surface: Surface) -> str:
     """Figure of the chart's lines on the flat map."""
-    ends = surface.domain
-    u, v = (np.linspace(*end, 9) for end in ends)
-    fine_u, fine_v = (np.linspace(*end, 73) for end in ends)
+    (u0, u1), (v0, v1) = surface.domain
+    u, v = np.linspace(u0, u1, 9), np.linspace(v0, v1, 9)
+    fine_u, fine_v = np.linspace(u0, u1, 73), np.linspace(v0, v1, 73)
     lines = [np.column_stack([np.full(73, at), fine_v]) for at in u]
     lines += [np.column_stack([fine_u, np.full(73, at)]) for at in v]
     flat = flat_map(surface, np.concatenate(lines))

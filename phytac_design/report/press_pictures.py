@@ -15,11 +15,6 @@ from phytac_design.optics.render_scene import build_scene
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_shapes.arrays import FloatArray, ImageArray
 
-STEPS = 6
-"""Pictures, the one at rest included."""
-WIDTH_PX = 640
-"""Of the pictures."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class PressPictures:
@@ -71,19 +66,22 @@ def window(camera: Camera, low_px: FloatArray, width_px: float, out_px: int) -> 
     return replace(camera, lens=part)
 
 
-def close_to(camera: Camera, point_mm: FloatArray) -> Camera:
-    """Close view around the image of a point (3,), inside the camera's picture."""
+def close_to(camera: Camera, point_mm: FloatArray, width_px: int) -> Camera:
+    """Close view around the image of a point (3,), inside the camera's picture, of some width."""
     size = np.array([camera.width_px, camera.height_px])
     part = 0.22 * size
     middle = np.nan_to_num(camera.project(point_mm[None])[0], nan=0.0) + 0.5
     low = np.clip(middle - part / 2.0, 0.0, size - part)
-    return window(camera, low, float(part[0]), WIDTH_PX)
+    return window(camera, low, float(part[0]), width_px)
 
 
-def press_pictures(context: Context) -> PressPictures | None:
+def press_pictures(
+    context: Context, *, steps: int = 6, width_px: int = 640
+) -> PressPictures | None:
     """Render the press that the stage ``underload`` kept; None if it could solve none.
 
-    Between rest and the full force the wall's motion is interpolated linearly.
+    Between rest and the full force the wall's motion is interpolated linearly, in ``steps``
+    pictures, rest included.
     """
     kept = context.arrays("underload")
     if not len(kept["shown_uv"]):
@@ -94,22 +92,22 @@ def press_pictures(context: Context) -> PressPictures | None:
     marker = int(np.linalg.norm(surface.point(markers.uv) - place, axis=1).argmin())
     number = int(context.arrays("views")["camera"][marker])
     camera = cameras_of(design, surface)[number]
-    share = np.linspace(0.0, 1.0, STEPS)
+    share = np.linspace(0.0, 1.0, steps)
     force = share * design.training.force_max_N
     contacts = Contacts.flat(
-        sample=np.arange(STEPS),
-        uv=np.repeat(uv[None], STEPS, axis=0),
-        radius_mm=np.full(STEPS, design.training.patch_radius_max_mm),
+        sample=np.arange(steps),
+        uv=np.repeat(uv[None], steps, axis=0),
+        radius_mm=np.full(steps, design.training.patch_radius_max_mm),
         force_N=force,
-        samples=STEPS,
+        samples=steps,
     )
     bits = switch_states(context.sensor, contacts).bits
     views = {
-        "whole": window(camera, np.zeros(2), camera.width_px, WIDTH_PX),
-        "close": close_to(camera, markers.tip_mm[marker]),
+        "whole": window(camera, np.zeros(2), camera.width_px, width_px),
+        "close": close_to(camera, markers.tip_mm[marker], width_px),
     }
     pictures: dict[str, list[bytes]] = {name: [] for name in views}
-    for step in range(STEPS):
+    for step in range(steps):
         for name, view in views.items():
             scene = build_scene(
                 context.sensor,

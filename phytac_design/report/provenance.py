@@ -2,6 +2,7 @@
 
 import platform
 from collections.abc import Mapping
+from contextlib import suppress
 from html import escape
 from importlib import metadata
 from typing import Any
@@ -12,19 +13,6 @@ from phytac_design.engine import cache
 from phytac_design.engine.stage import Context
 from phytac_design.report import figure_names
 
-PACKAGES = (
-    "phytac-design",
-    "numpy",
-    "scipy",
-    "numba",
-    "opencv-contrib-python-headless",
-    "manifold3d",
-    "cadquery",
-    "torch",
-    "matplotlib",
-)
-"""Whose versions are listed, where they are installed."""
-
 
 def provenance_of(context: Context) -> dict[str, Any]:
     """Versions and hashes, as ``report.json`` holds them."""
@@ -32,26 +20,26 @@ def provenance_of(context: Context) -> dict[str, Any]:
         "design_sha256": design_hash(context.design),
         "program_sha256": cache.code_hash(),
         "python": platform.python_version(),
-        "versions": {name: version for name in PACKAGES if (version := _version(name))},
+        "versions": package_versions(),
     }
 
 
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return ""
-
-
-def files_of(context: Context) -> list[tuple[str, int, str]]:
-    """Name, bytes and SHA-256 of every file that the stages wrote for the user, sorted."""
-    prefix = "export/"
-    return sorted(
-        (path.removeprefix(prefix), int(size), str(digest))
-        for folder in context.folders.values()
-        for path, (size, digest) in cache.record(folder)["files"].items()
-        if path.startswith(prefix)
-    )
+def package_versions() -> dict[str, str]:
+    """Versions of this package and of the libraries that results depend on, where installed."""
+    found = {}
+    for name in (
+        "phytac-design",
+        "numpy",
+        "scipy",
+        "numba",
+        "opencv-contrib-python-headless",
+        "manifold3d",
+        "cadquery",
+        "matplotlib",
+    ):
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
 
 
 def time_section(context: Context, report: Mapping[str, Any]) -> str:
@@ -84,7 +72,6 @@ def time_section(context: Context, report: Mapping[str, Any]) -> str:
 def provenance_section(context: Context, report: Mapping[str, Any]) -> str:
     """Versions, hashes and the design file, with which this build can be reproduced."""
     made = report["provenance"]
-    files = files_of(context)
     versions = page.table(
         ("part", "version"), [("python", made["python"]), *made["versions"].items()]
     )
@@ -92,12 +79,9 @@ def provenance_section(context: Context, report: Mapping[str, Any]) -> str:
         ("of", "SHA-256"),
         [("the design", made["design_sha256"]), ("the program", made["program_sha256"])],
     )
-    listed = page.table(("file", "bytes", "SHA-256"), files)
     return (
-        f"{hashes}{versions}<p>The same design, program and seed give the same files. Those beside "
-        "this page, as the stages wrote them (design name and regions are stamped into the "
-        "decoder's afterwards):</p>"
-        + page.details(f"{len(files)} files", listed)
+        f"{hashes}{versions}<p>The same design, program and seed give the same files; "
+        "manifest.json lists them with their SHA-256.</p>"
         + page.details(
             "The design file, every field",
             f'<pre tabindex="0">{escape(to_toml(context.design))}</pre>',

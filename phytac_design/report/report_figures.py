@@ -1,15 +1,19 @@
-"""Figures of the report, as PNG bytes."""
+"""Figures of the report: maps of one sensor, charts, and the pictures that the stages wrote."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from textwrap import wrap
 from typing import Any
 
 import cv2
 import numpy as np
 
+from phytac_decoder.io.recorded_frames import read_image
+from phytac_design.core import html as page
 from phytac_design.core.figures import new_figure, png
-from phytac_design.geometry.flat_map import FlatMap
+from phytac_design.engine.stage import EXPORT, Context
+from phytac_design.geometry import flat_map
 from phytac_design.layout.markers import Markers
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
@@ -42,14 +46,14 @@ def paint_of_each(colours: Sequence[str], markers: Markers) -> list[str]:
     return [colours[index % len(colours)] for index in markers.colour]
 
 
-def map_size_in(flat: FlatMap) -> tuple[float, float]:
+def map_size_in(flat: flat_map.FlatMap) -> tuple[float, float]:
     """Width and height of a map, inches: the longer one 3.9, so that two fit side by side."""
     wide, tall = (flat.limits[1] - flat.limits[0]).tolist()
     scale = 3.9 / max(wide, tall)
     return max(wide * scale, 0.5), max(tall * scale, 0.5)
 
 
-def draw_map(axes: Any, flat: FlatMap) -> None:
+def draw_map(axes: Any, flat: flat_map.FlatMap) -> None:
     """Set up axes for a map: limits, sense, true aspect, labels and the outline."""
     for edge in flat.outline:
         axes.plot(*edge.T, color="#b5b5b5", linewidth=0.9, zorder=1)
@@ -59,7 +63,7 @@ def draw_map(axes: Any, flat: FlatMap) -> None:
 
 
 def value_map(
-    flat: FlatMap,
+    flat: flat_map.FlatMap,
     values: FloatArray,
     *,
     label: str,
@@ -71,7 +75,7 @@ def value_map(
 
     Parameters
     ----------
-    flat : FlatMap
+    flat : flat_map.FlatMap
         Places of the n markers.
     values : (n,) float
         What the fill shows; markers without a finite value are left hollow.
@@ -86,7 +90,7 @@ def value_map(
     """
     wide, tall = map_size_in(flat)
     size = MAP.left_in + wide + MAP.right_in, MAP.below_in + tall + MAP.above_in
-    figure = new_figure(size, layout=None)
+    figure = new_figure(size, constrained=False)
 
     def box(left: float, width: float) -> Any:
         rectangle = (left / size[0], MAP.below_in / size[1], width / size[0], tall / size[1])
@@ -159,3 +163,88 @@ def thumbnail(image: ImageArray, width_px: int) -> bytes:
     height = round(image.shape[0] * width_px / image.shape[1])
     small = cv2.resize(image, (width_px, height), interpolation=cv2.INTER_AREA)
     return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 85])[1])
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Draws the markers of one sensor on its maps."""
+
+    context: Context
+
+    @cached_property
+    def colours(self) -> list[str]:
+        """Paint of each marker."""
+        return paint_of_each(self.context.design.layout.colours, self.context.markers)
+
+    @cached_property
+    def flat(self) -> flat_map.FlatMap:
+        """Map of the surface."""
+        return flat_map.flat_map(self.context.surface, self.context.markers.uv)
+
+    @cached_property
+    def picture(self) -> flat_map.FlatMap | None:
+        """Map of the camera's picture, for shapes that face their one camera."""
+        if flat_map.surface_topology(self.context.surface) == "tube":
+            return None
+        camera = self.context.design.camera
+        pixels = self.context.arrays("views")["rest_px"]
+        return flat_map.picture_map(pixels, (camera.width_px, camera.height_px))
+
+    def layout_png(self) -> bytes:
+        """PNG of the receptors' heights on the surface's map."""
+        height = self.context.markers.height_mm
+        return value_map(self.flat, height, label="receptor height (mm)", colours=self.colours)
+
+    def maps(
+        self,
+        values: FloatArray,
+        caption: str,
+        label: str,
+        *,
+        name: str,
+        cross: FloatArray | None = None,
+        marked: BoolArray | None = None,
+        in_picture: bool = False,
+    ) -> str:
+        """Figure of values (n,) on the surface's map.
+
+        Parameters
+        ----------
+        name : str
+            Of its file, without an ending.
+        cross : (2,) float, optional
+            Chart position to mark with a cross.
+        marked : (n,) bool, optional
+            Markers to put a red ring around.
+        in_picture : bool
+            For shapes that face the camera, show them in its picture as well.
+        """
+        flat, out = self.flat, ""
+        at = (
+            None
+            if cross is None
+            else flat_map.flat_map(self.context.surface, cross[None]).points[0]
+        )
+        style: dict[str, Any] = {"label": label, "colours": self.colours, "marked": marked}
+        data = value_map(flat, values, cross=at, **style)
+        out += page.figure(data, f"{caption}; {flat.note}", name=f"{name}.png")
+        if in_picture and self.picture is not None:
+            data = value_map(self.picture, values, **style)
+            note = f"{caption}; {self.picture.note}"
+            out += page.figure(data, note, name=f"{name}_picture.png")
+        return out
+
+
+def photo(context: Context, stage: str, name: str, caption: str) -> str:
+    """Figure of a picture that a stage wrote; "" if it wrote none."""
+    path = context.folders[stage] / EXPORT / "views" / name
+    if not path.is_file():
+        return ""
+    data = thumbnail(read_image(path), 900)
+    return page.figure(data, caption, "jpeg", name=f"{path.stem}.jpg")
+
+
+def of_camera(report: Mapping[str, Any], number: int) -> str:
+    """Text that names one of two cameras; "" if there is one."""
+    cameras = report["cameras"]
+    return f", {cameras[number]['end']} camera" if len(cameras) > 1 else ""

@@ -17,44 +17,11 @@ from phytac_design.report.explorer import GAP_PX, explorer_section, softness_um_
 from phytac_design.report.fabrication_section import fabrication_section
 from phytac_design.report.press_pictures import press_pictures, press_slider
 from phytac_design.report.provenance import provenance_section, time_section
-from phytac_design.report.sensor_drawing import MARKS, Drawing, of_camera, photo
+from phytac_design.report.report_figures import Drawing, of_camera, photo
 from phytac_design.report.verdict import sentence
+from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
 
 PAPER = "paper, on a real sensor: FEM 18 % (49 % below 5 N), FEM-NN 2.3 % and 0.11 N"
-EACH_CAMERA = {
-    "end": "camera",
-    "read": "reads markers",
-    "hidden_most": "most hidden",
-    "fused_most": "most fused",
-    "crosstalk_px": "crosstalk (px)",
-    "greatest_shift_px": "largest shift (px)",
-}
-BOUND = {
-    "force_N_median_middle": "force, median in the middle (N)",
-    "force_N_median": "force, median (N)",
-    "force_N_worst": "force, worst (N)",
-    "force_known_place_N_median": "force at a known place, median (N)",
-    "along_mm_median": "place {along}, median (mm)",
-    "around_mm_median": "place {around}, median (mm)",
-}
-
-SWITCH_ROWS = {
-    "threshold_N": "nominal threshold (N)",
-    "limit_N": "threshold of the bowl (N)",
-    "spread.low_N": "smallest of a batch (N)",
-    "spread.high_N": "largest of a batch (N)",
-    "valley_N": "force once it has snapped (N)",
-    "travel_mm": "travel of the snap (mm)",
-    "visible_mm": "tip shows, when out (mm)",
-    "strain": "largest strain",
-    "bowl.diameter_mm": "bowl: diameter (mm)",
-    "bowl.depth_mm": "bowl: depth (mm)",
-    "bowl.thickness_mm": "bowl: wall (mm)",
-    "bowl.stem_diameter_mm": "bowl: stem diameter (mm)",
-    "rubber.name": "rubber",
-    "rubber.modulus_MPa": "its Young's modulus (MPa)",
-}
-"""Shown of each switch; report.json and the files of the folder ``switch`` hold the rest."""
 
 
 def visibility_table(report: Mapping[str, Any]) -> str:
@@ -88,7 +55,7 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
     arrays, several = context.arrays("views"), len(report["cameras"]) > 1
     parts = []
     for number in range(len(report["cameras"])):
-        mark, whose = MARKS[number], of_camera(report, number)
+        mark, whose = CAMERA_SUFFIXES[number], of_camera(report, number)
         photos = [
             ("views", f"camera{mark}.png", "The camera's view at rest"),
             ("views", f"camera{mark}_all_on.png", "All switches on: red tips out"),
@@ -106,19 +73,21 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
     parts += [
         visibility_table(report),
         page.side_by_side(
-            draw.both(
+            draw.maps(
                 arrays["visible_fraction"],
                 "Visible fraction of each marker (hidden ones ringed)",
                 "fraction",
                 name="visible_fraction",
+                in_picture=True,
                 marked=arrays["occluded"],
             ),
-            draw.both(
+            draw.maps(
                 np.minimum(arrays["gap_same_colour_px"], GAP_PX),
                 f"Gap to the nearest marker of the same colour ({GAP_PX:g} px and more alike; "
                 "fused ones ringed)",
                 "px",
                 name="gap",
+                in_picture=True,
                 marked=arrays["fused"],
             ),
         ),
@@ -187,6 +156,14 @@ def lens_section(context: Context, report: Mapping[str, Any]) -> str:
 
 def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
     """Visibility under load."""
+    columns = {
+        "end": "camera",
+        "read": "reads markers",
+        "hidden_most": "most hidden",
+        "fused_most": "most fused",
+        "crosstalk_px": "crosstalk (px)",
+        "greatest_shift_px": "largest shift (px)",
+    }
     load, arrays = report["under_load"], context.arrays("underload")
     pressed, slider = press_pictures(context), ""
     if pressed is not None:
@@ -197,27 +174,29 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
     where = "" if cross is None else "; the cross is where that happens first"
     shown = {key: load[key] for key in load if key not in {"sentence", "cameras"}}
     each = load.get("cameras", [])
-    keys = [key for key in EACH_CAMERA if all(key in item for item in each)]
+    keys = [key for key in columns if all(key in item for item in each)]
     by_camera = page.table(
-        [EACH_CAMERA[key] for key in keys], [[item[key] for key in keys] for item in each]
+        [columns[key] for key in keys], [[item[key] for key in keys] for item in each]
     )
     return (
         f"<p>{escape(load['sentence'])}</p>"
         + slider
         + page.side_by_side(
-            draw.both(
+            draw.maps(
                 arrays["crosstalk_px"],
                 "Crosstalk: largest shift of a centroid that is not its marker's own motion",
                 "px",
                 name="crosstalk",
+                in_picture=True,
                 cross=cross,
             ),
-            draw.both(
+            draw.maps(
                 np.minimum(arrays["least_gap_same_px"], GAP_PX),
                 f"Smallest gap to a marker of the same colour under any press ({GAP_PX:g} px and "
                 f"more alike{where})",
                 "px",
                 name="gap_under_load",
+                in_picture=True,
                 cross=cross,
             ),
         )
@@ -228,10 +207,18 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
 
 def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
     """Cramér-Rao bounds."""
+    names = {
+        "force_N_median_middle": "force, median in the middle (N)",
+        "force_N_median": "force, median (N)",
+        "force_N_worst": "force, worst (N)",
+        "force_known_place_N_median": "force at a known place, median (N)",
+        "along_mm_median": "place {along}, median (mm)",
+        "around_mm_median": "place {around}, median (mm)",
+    }
     found, arrays = report["resolution"], context.arrays("resolution")
     words = flat_map.direction_names(context.surface)
-    keys = [key for key in BOUND if all(key in row for row in found["bound"].values())]
-    head = [BOUND[key].format(along=words.along_short, around=words.around_short) for key in keys]
+    keys = [key for key in names if all(key in row for row in found["bound"].values())]
+    head = [names[key].format(along=words.along_short, around=words.around_short) for key in keys]
     order = sorted(found["bound"], key=lambda text: float(text.split()[0]))
     rows = [(force, *(found["bound"][force][key] for key in keys)) for force in order]
     return (
@@ -240,13 +227,13 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
         "deviations:</p>"
         + page.table(("contact of", *head), rows)
         + page.side_by_side(
-            draw.on_surface(
+            draw.maps(
                 arrays["force_N_10"],
                 "Smallest standard deviation of a force of 10 N",
                 "N",
                 name="resolution_force",
             ),
-            draw.on_surface(
+            draw.maps(
                 arrays["along_mm_10"],
                 f"Smallest standard deviation of its position {words.along}",
                 "mm",
@@ -260,7 +247,7 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
 def markers_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
     """Density and paints."""
     return page.side_by_side(
-        draw.on_surface(
+        draw.maps(
             density_map(context.surface, context.markers).per_cm2,
             "Local density: markers around each one over their area",
             "per cm²",
@@ -279,7 +266,7 @@ def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing
     load = report["under_load"]
     kept = context.arrays("underload")
     maps = [
-        draw.on_surface(
+        draw.maps(
             softness_um_N(context),
             "Softness: inward motion of each marker under 1 N on its own cell",
             "µm/N",
@@ -289,7 +276,7 @@ def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing
     if len(kept["shown_uv"]):
         inward = -np.einsum("ni,ni->n", kept["shown_motion"][0][:, :3], context.markers.normal)
         maps.append(
-            draw.on_surface(
+            draw.maps(
                 inward,
                 f"Inward motion of the wall, pressed with {load['force_N']:g} N where the cross is",
                 "mm",
@@ -323,10 +310,27 @@ def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing
 
 def switch_section(context: Context, report: Mapping[str, Any]) -> str:
     """Bowls side by side, their force curves, warnings, and the visibility of the tips."""
+    # report.json and the files of the folder ``switch`` hold the rest.
+    names = {
+        "threshold_N": "nominal threshold (N)",
+        "limit_N": "threshold of the bowl (N)",
+        "spread.low_N": "smallest of a batch (N)",
+        "spread.high_N": "largest of a batch (N)",
+        "valley_N": "force once it has snapped (N)",
+        "travel_mm": "travel of the snap (mm)",
+        "visible_mm": "tip shows, when out (mm)",
+        "strain": "largest strain",
+        "bowl.diameter_mm": "bowl: diameter (mm)",
+        "bowl.depth_mm": "bowl: depth (mm)",
+        "bowl.thickness_mm": "bowl: wall (mm)",
+        "bowl.stem_diameter_mm": "bowl: stem diameter (mm)",
+        "rubber.name": "rubber",
+        "rubber.modulus_MPa": "its Young's modulus (MPa)",
+    }
     made = [page.flatten(item) for item in report["switch"]["switches"]]
-    keys = [key for key in SWITCH_ROWS if any(key in item for item in made)]
+    keys = [key for key in names if any(key in item for item in made)]
     head = ("switch", *(f"{page.number(item['threshold_N'])} N" for item in made))
-    rows = [(SWITCH_ROWS[key], *(item.get(key) for item in made)) for key in keys]
+    rows = [(names[key], *(item.get(key) for item in made)) for key in keys]
     warnings = dict.fromkeys(text for item in made for text in item.get("warnings", ()))
     curves = sorted((context.folders["switch"] / EXPORT / "switch").glob("*.svg"))
     left_out = {"switches", "refused"}  # shown above, and in the verdict
@@ -351,7 +355,7 @@ def frames_section(context: Context, report: Mapping[str, Any], table: str) -> s
         photo(
             context,
             "frames",
-            f"frame_{what}{MARKS[number]}.png",
+            f"frame_{what}{CAMERA_SUFFIXES[number]}.png",
             caption + of_camera(report, number),
         )
         for number in range(len(report["cameras"]))

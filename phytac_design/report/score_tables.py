@@ -7,22 +7,7 @@ from phytac_design.core import html as page
 
 STIFFNESS = ("fem", "fem_nn", "fem_nn_identity")
 """Estimators that use K·u."""
-WEAK_SHARE = 0.1
-"""Rows are greyed where an estimator cannot be used at this share of the markers."""
 GROUPS = ("below_5N", "from_5N", "single", "multi", "middle", "near_rims")
-HEAD = (
-    "estimator",
-    "relative error (%)",
-    "MAE (N)",
-    "SD (N)",
-    "below 5 N (%)",
-    "from 5 N (%)",
-    "single (%)",
-    "multi (%)",
-    "middle (%)",
-    "near rims (%)",
-    "contacts",
-)
 
 
 def marks_of(limits: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
@@ -48,6 +33,20 @@ def score_table(
     count : int
         Markers of the sensor.
     """
+    weak_share = 0.1  # rows are greyed where an estimator is of no use at so many of the markers
+    head = (
+        "estimator",
+        "relative error (%)",
+        "MAE (N)",
+        "SD (N)",
+        "below 5 N (%)",
+        "from 5 N (%)",
+        "single (%)",
+        "multi (%)",
+        "middle (%)",
+        "near rims (%)",
+        "contacts",
+    )
     marks = marks_of(limits, list(scores))
     rows = [
         (
@@ -62,7 +61,7 @@ def score_table(
     ]
     faint, unread = limits["fem_unusable_count"], len(limits["force_unreadable"])
     weak = [
-        unread >= WEAK_SHARE * count or (name in STIFFNESS and faint >= WEAK_SHARE * count)
+        unread >= weak_share * count or (name in STIFFNESS and faint >= weak_share * count)
         for name in scores
     ]
     notes = []
@@ -75,7 +74,7 @@ def score_table(
         notes.append(f"‡ Forces on {unread} of {count} markers cannot be read by any estimator.")
     if any(page.missing(value) for row in rows for value in row):
         notes.append(f"{page.DASH}: no such contacts among these.")
-    return page.table(HEAD, rows, weak) + "".join(f'<p class="foot">{note}</p>' for note in notes)
+    return page.table(head, rows, weak) + "".join(f'<p class="foot">{note}</p>' for note in notes)
 
 
 def _percent(score: Mapping[str, Any]) -> float | None:

@@ -1,14 +1,16 @@
 """Verdict of a build: is it seen, can it be printed, cast and decoded; what to change."""
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any, Literal, get_args
 
 from phytac_design.core.html import DASH, missing, number
+from phytac_design.engine.stage import Context
 
 Level = Literal["good", "odd", "bad"]
-LEVELS: tuple[Level, ...] = ("good", "odd", "bad")
 Matter = Literal["seen", "printed", "cast", "decoded"]
 ANSWERS: dict[Matter, dict[Level, str]] = {
     "seen": {
@@ -182,7 +184,7 @@ def sentence(text: str) -> str:
 
 def worst(found: list[Finding]) -> Level:
     """Level of the whole."""
-    return LEVELS[max((LEVELS.index(item.level) for item in found), default=0)]
+    return max((item.level for item in found), key=get_args(Level).index, default="good")
 
 
 def percent(score: Mapping[str, Any]) -> str:
@@ -241,3 +243,66 @@ def change_list(texts: Sequence[str]) -> str:
         return "<p><strong>To change:</strong> nothing that these checks find.</p>"
     lines = "".join(f"<li>{escape(sentence(text))}</li>" for text in texts)
     return f'<div class="change"><strong>To change or to mind:</strong><ul>{lines}</ul></div>'
+
+
+def changes_of(context: Context, reasons: Sequence[str]) -> list[str]:
+    """Sentences without a full stop, each a problem and its remedy.
+
+    Parameters
+    ----------
+    reasons : list of str
+        Why stages would stop a build that is not forced.
+    """
+    return [
+        *reasons,
+        *_load_remedy(context.facts("underload"), reasons),
+        *_print_remedies(context.facts("printing")),
+        *_switch_warnings(context.facts("switch")),
+    ]
+
+
+def _load_remedy(load: Mapping[str, Any], reasons: Sequence[str]) -> list[str]:
+    """Remedy for a marker that is lost under load, unless the design's demand names it already."""
+    first = load["first_force_N"]
+    if first is None or any("under load" in reason for reason in reasons):
+        return []
+    text = (
+        f"from {first:.3g} N on a marker hides or fuses: space the markers wider, use more pixels "
+        "or a thicker wall, or keep below that force (demands.clear_force_N makes a build insist)"
+    )
+    return [text]
+
+
+def _print_remedies(facts: Mapping[str, Any]) -> list[str]:
+    """Print rules that are broken, those with the same remedy together."""
+    found: Counter[tuple[str, str, str]] = Counter()
+    first: dict[tuple[str, str, str], Mapping[str, Any]] = {}
+    for file, part in facts["files"].items():
+        for item in part["violations"]:
+            # Figures differ from place to place, words do not.
+            key = (file, item["rule"], re.sub(r"[-+.\d]*\d", "", item["fix"]))
+            found[key] += 1
+            first.setdefault(key, item)
+    out, shown = [], 6
+    for key, count in found.most_common(shown):
+        file, rule, _ = key
+        item = first[key]
+        where = f"1 place of {file} breaks" if count == 1 else f"{count} places of {file} break"
+        out.append(
+            f"{where} the print rule {rule} (such as {item['measured']:.3g} {item['unit']}, "
+            f"required {item['asked']:.3g} {item['unit']}): {item['fix']}"
+        )
+    if len(found) > shown:
+        out.append(f"{len(found) - shown} more kinds are in shell/print_report.json")
+    return out
+
+
+def _switch_warnings(facts: Mapping[str, Any]) -> list[str]:
+    """Warnings before casting, each once; the page lists assumptions separately."""
+    warnings = dict.fromkeys(
+        text
+        for item in facts.get("switches", ())
+        for text in item.get("warnings", ())
+        if not text.startswith("assumed")
+    )
+    return list(warnings)

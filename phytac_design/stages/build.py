@@ -4,12 +4,12 @@ import fcntl
 import json
 import os
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from phytac_design.design.spec import Design
 from phytac_design.engine import cache
 from phytac_design.engine.cache_eviction import limit_bytes, prune
 from phytac_design.engine.stage import EXPORT, Context, Stage, array_hashes
+from phytac_design.report.provenance import package_versions
 from phytac_design.rules.check import check_design
 from phytac_design.stages import STAGES
 from phytac_shapes.bounded_reader import read_text
@@ -28,17 +29,6 @@ from phytac_shapes.errors import DesignError, OutputError
 MANIFEST = "manifest.json"
 OLD_MANIFEST = f".{MANIFEST}.old"
 """Where it stands while files change: what is half-written never looks finished."""
-PROBE = ".writable"
-"""Written and taken away at once, to see whether a folder can be written."""
-PARTS = (
-    "numpy",
-    "scipy",
-    "manifold3d",
-    "cadquery",
-    "torch",
-    "opencv-contrib-python-headless",
-)
-
 Progress = Callable[[str], None]
 
 
@@ -270,26 +260,19 @@ def _claim(out: Path, design: Design, *, force: bool) -> None:
                 f"{out} holds the design {name!r}, not {design.name!r}; "
                 "choose another --out, or overwrite it with --force",
             )
-    elif out.is_dir() and _foreign(out) and not (out / "design.toml").is_file() and not force:
+    elif out.is_dir() and any(out.iterdir()) and not (out / "design.toml").is_file() and not force:
         raise OutputError(
             "output-foreign",
             f"{out} is not empty and not a build; choose another --out, or use --force",
         )
     try:
         out.mkdir(parents=True, exist_ok=True)
-        probe = out / PROBE
-        probe.write_text("")
-        # Another build may have just taken it away.
-        probe.unlink(missing_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
     except OSError as error:
         raise OutputError(
             "output-not-writable", f"cannot write {out}: {error.strerror}; choose another --out"
         ) from None
-
-
-def _foreign(out: Path) -> bool:
-    """Whether a folder holds anything but what another build looks with whether it can write."""
-    return any(path.name != PROBE for path in out.iterdir())
 
 
 @contextmanager
@@ -368,22 +351,13 @@ def _export(
     manifest = identity | {
         "format": "phytac-exports",
         "schema_version": "1.0",
-        "versions": {"phytac-design": metadata.version("phytac-design")}
-        | {name: version for name in PARTS if (version := _version(name))},
+        "versions": package_versions(),
         "files": sorted(files + others, key=lambda item: str(item["path"])),
     }
     partial = out / f".{MANIFEST}.part"
     partial.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     partial.replace(out / MANIFEST)
     (out / OLD_MANIFEST).unlink(missing_ok=True)
-
-
-def _version(name: str) -> str:
-    """Version of an installed library; "" of one that is not installed."""
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return ""
 
 
 def _check_copy(copy: Path, source: Path, digest: str) -> None:

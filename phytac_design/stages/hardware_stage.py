@@ -14,6 +14,7 @@ from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodi
 from phytac_design.solids.cad import cad_facts, write_assembly, write_step
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.solid_mesh import to_triangles
+from phytac_design.stages.shell_stage import VOLUME_TOL
 from phytac_design.stages.switch_stage import refusal, switches_of
 from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
 
@@ -80,16 +81,13 @@ def _checked(context: Context) -> tuple[HardwareAssembly, dict[str, Any], dict[s
 
 def _cad(context: Context, kit: HardwareAssembly, solids: dict[str, Any]) -> dict[str, Any]:
     """CAD of all parts by name, each compared with its mesh."""
-    # Largest relative difference of the two kernels' volumes that a build accepts.
-    volume_tol = 1e-3
-
     kernel = CadKernel(context.surface)
     shapes = {}
     for part in kit.parts:
         shape = kernel.solid(part.node)
         facts, volume = cad_facts(shape), float(solids[part.name].volume())
         difference = abs(volume / facts.volume_mm3 - 1.0)
-        if not facts.valid or difference > volume_tol:
+        if not facts.valid or difference > VOLUME_TOL:
             raise NumericalError(
                 "hardware-solid-unsound",
                 f"the CAD of {part.name} is not sound: valid {facts.valid}, "

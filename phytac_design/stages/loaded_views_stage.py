@@ -19,9 +19,6 @@ from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import decoder_shell
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-LOAD_STEPS = (0.5, 1.0)
-"""Shares of the design's largest force at which the shell is solved; between, interpolated."""
-
 
 class PressedShell:
     """The shell of a sensor, and presses on it with the design's largest force."""
@@ -117,7 +114,7 @@ def press_and_see(
     """Press all over the surface and render.
 
     All places are pressed with the full force; those where a marker hides or fuses also with the
-    lower ones of ``LOAD_STEPS``, to find the force at which that starts.
+    half of it, to find the force at which that starts.
 
     Parameters
     ----------
@@ -164,11 +161,11 @@ def press_and_see(
     found = merged(each)
     events = np.flatnonzero(np.isfinite(found.first_force_N))
     if samples and len(events):
-        below, more = shell.motions(uv[events], LOAD_STEPS[:-1])
+        below, more = shell.motions(uv[events], (0.5,))
         samples += more
         known = np.isfinite(below).all(axis=(1, 2, 3))
         path = np.concatenate([below, full[events]], axis=1)[known]
-        first = merged(look(path, force * np.array(LOAD_STEPS)))
+        first = merged(look(path, force * np.array([0.5, 1.0])))
         found.first_force_N[events[known]] = first.first_force_N
         found.first_marker[events[known]] = first.first_marker
     facts = theory_facts(samples, context.accuracy.press_tolerance)

@@ -18,14 +18,6 @@ from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.solids.mesh_export import stl_bytes
 from phytac_design.stages.switch_stage import switches_of, without_switches
 
-NAMES = {
-    "dome_plate": "mold, dome plate",
-    "core_plate": "mold, core plate",
-    "cap_plate": "mold, cap",
-    "dome_tray": "mold, master tray of the domes",
-    "core_tray": "mold, master tray of the stems",
-}
-
 
 def run(context: Context, folder: Path) -> None:
     """Write ``mold/*.stl`` and ``mold/cavities.csv``, and the mold's facts."""
@@ -95,13 +87,20 @@ def _table(made: list[MoldSet], switches: SwitchSet) -> str:
 
 def _parts(sets: list[dict[str, Any]], poured: list[dict[str, float]]) -> list[dict[str, Any]]:
     """Parts list: plates, silicone, and surplus rubber; the bench lists the switches."""
+    names = {
+        "dome_plate": "mold, dome plate",
+        "core_plate": "mold, core plate",
+        "cap_plate": "mold, cap",
+        "dome_tray": "mold, master tray of the domes",
+        "core_tray": "mold, master tray of the stems",
+    }
     found = []
     for facts, volumes in zip(sets, poured, strict=True):
         number = facts["set"]
         suffix = "" if len(sets) == 1 else f" {number}"
         found += [
             bill_part(
-                f"{NAMES[name]}{suffix}",
+                f"{names[name]}{suffix}",
                 file=f"mold/{name}_{number}.stl",
                 volume_mm3=plate["volume_mm3"],
                 note="printed once",

@@ -17,33 +17,11 @@ from phytac_design.report.explorer import DATA_ID, explorer_data
 from phytac_design.report.fabrication_section import fabrication_facts
 from phytac_design.report.provenance import provenance_of
 from phytac_design.report.report_sections import sections_of
-from phytac_design.report.suggested_changes import changes_of
-from phytac_design.report.verdict import SIMULATED, best_of, lead
-from phytac_design.report.viewer.assets import PAGE_SCRIPTS, data_tag, script_tags, style
+from phytac_design.report.verdict import SIMULATED, best_of, changes_of, lead
+from phytac_design.report.viewer.assets import data_tag, script_tags, style
 from phytac_design.stages.loaded_views_stage import UNDERLOAD
 from phytac_design.stages.switch_stage import SWITCH
 from phytac_design.stages.views_stage import VIEWS
-
-DEPENDS_ON = (
-    "views",
-    "switch",
-    "compare",
-    "underload",
-    "resolution",
-    "shell",
-    "step",
-    "hardware",
-    "mold",
-    "kit",
-    "printing",
-    "bench",
-    "mesh",
-    "response",
-    "places",
-    "twin",
-    "decoder",
-    "frames",
-)
 
 
 def gather(context: Context) -> dict[str, Any]:
@@ -53,7 +31,7 @@ def gather(context: Context) -> dict[str, Any]:
     decoder, frames, twin = (context.facts(name) for name in ("decoder", "frames", "twin"))
     density = views["density"]
     reasons = forced_past(context)
-    timing = {name: cache.record(context.folders[name])["seconds"] for name in DEPENDS_ON}
+    timing = {name: cache.record(folder)["seconds"] for name, folder in context.folders.items()}
     return {
         "schema_version": "1.3",
         "design": design.name,
@@ -128,7 +106,7 @@ def run(context: Context, folder: Path) -> None:
         sections_of(context, report),
         lead(report),
         style=style(),
-        tail=data_tag(DATA_ID, data) + script_tags(PAGE_SCRIPTS),
+        tail=data_tag(DATA_ID, data) + script_tags(),
     )
     _write(folder, "report/report.html", html)
     for name, image in images_of(html).items():
@@ -143,6 +121,25 @@ def _write(folder: Path, name: str, text: str) -> None:
 REPORT = Stage(
     name="report",
     design_fields=tuple(Design.model_fields),
-    depends_on=DEPENDS_ON,
+    depends_on=(
+        "views",
+        "switch",
+        "compare",
+        "underload",
+        "resolution",
+        "shell",
+        "step",
+        "hardware",
+        "mold",
+        "kit",
+        "printing",
+        "bench",
+        "mesh",
+        "response",
+        "places",
+        "twin",
+        "decoder",
+        "frames",
+    ),
     run=run,
 )

@@ -125,7 +125,7 @@ def run_twin(context: Context, folder: Path) -> None:
     design = context.design
     rng = np.random.default_rng([context.seed, 1])
     count = samples_of(design, context.accuracy.sample_share)
-    if context.scene is not None and not context.scene.samples:
+    if context.scene is not None and not context.scene.networks:
         count = dict(SCENE_SAMPLES)
     scope = scope_of(context)
     drawn = {
@@ -235,6 +235,6 @@ TWIN = Stage(
     depends_on=("views",),
     arrays=IMAGE_ARRAYS,
     seeded=True,
-    scene=("regions", "reach_mm", "at_once", "samples"),
+    scene=("regions", "reach_mm", "at_once", "networks"),
     run=run_twin,
 )

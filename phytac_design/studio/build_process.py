@@ -17,10 +17,6 @@ from phytac_design.design.design_file import to_toml
 from phytac_design.design.spec import Design
 from phytac_shapes.errors import InputError, OutputError
 
-STOP_TIMEOUTS_S = (5.0, 5.0)
-"""Time to end after SIGINT, and then after SIGTERM."""
-STAGE_LINE = re.compile(r"\[(\d+)/(\d+)\] ([a-z-]+)( \d)?")
-"""A stage's number, their count, its name, and a figure behind it if it has ended."""
 ERROR_LINE = re.compile(r"error\[([a-z0-9-]+)\]: ")
 """The line in which the command line reports an error, with its code."""
 
@@ -28,7 +24,12 @@ Json = dict[str, Any]
 
 
 class BuildRunner:
-    """At most one build at a time, into ``exports/NAME`` of the project folder ``root``."""
+    """At most one build at a time, into ``exports/NAME`` of the project folder ``root``.
+
+    ``stop_timeouts_s`` is the time to end after SIGINT, and then after SIGTERM.
+    """
+
+    stop_timeouts_s = (5.0, 5.0)
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -140,7 +141,8 @@ class BuildRunner:
     async def _add_line(self, line: str) -> None:
         if line and len(self._lines) < 2000:
             self._lines.append(line)
-        stage = STAGE_LINE.match(line)
+        # A stage's number, their count, its name, and a figure behind it if it has ended.
+        stage = re.match(r"\[(\d+)/(\d+)\] ([a-z-]+)( \d)?", line)
         if stage:
             ended = stage[4] is not None
             self._state["done"] = round((int(stage[1]) - (not ended)) / max(int(stage[2]), 1), 3)
@@ -169,7 +171,9 @@ class BuildRunner:
             return self.state()
         self._stopped = True
         # On SIGINT a build leaves complete files.
-        for number, timeout in zip((signal.SIGINT, signal.SIGTERM), STOP_TIMEOUTS_S, strict=True):
+        for number, timeout in zip(
+            (signal.SIGINT, signal.SIGTERM), self.stop_timeouts_s, strict=True
+        ):
             _signal(process.pid, number)
             with suppress(TimeoutError):
                 await asyncio.wait_for(asyncio.shield(watch), timeout)

@@ -34,24 +34,8 @@ from phytac_design.study.search.surrogate import predict
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, PhytacError
 
-MARKERS_MAX = 5000
-"""Markers up to which a design is drawn while controls move."""
 SIDE_px, SIDE_MIN_px = 864, 160
 """Longer side of a draft's image."""
-SHOWN = (
-    "marker_count",
-    "density_mean_per_cm2",
-    "density_least_per_cm2",
-    "sampled_visible_least",
-    "sampled_hidden",
-    "sampled_gap_px",
-    "surrogate_force_sd_N",
-    "pitch_least_mm",
-    "height_most_mm",
-    "stack_mm",
-    "mass_g",
-)
-"""Measures of a study that the studio shows."""
 
 Json = dict[str, Any]
 
@@ -80,11 +64,12 @@ def draft(design: Design, check: Check, side_px: int = SIDE_px) -> Json:
     DesignError
         If nothing can be drawn, or there are too many markers.
     """
-    if design.layout.wanted > MARKERS_MAX:
+    markers_max = 5000
+    if design.layout.wanted > markers_max:
         raise DesignError(
             "draft-too-many-markers",
             f"layout.rows, layout.columns or layout.count give {design.layout.wanted} markers; "
-            f"the studio draws up to {MARKERS_MAX}, `phytac check` takes more",
+            f"the studio draws up to {markers_max}, `phytac check` takes more",
         )
     # Prices and a seed are all that the levels used here need of a study.
     variable = Variable(field="wall.thickness_mm", low=0.5, high=1.0)
@@ -130,6 +115,19 @@ def _drawn(candidate: Candidate, refused: DesignError | None, side_px: int, chec
         "sampled_gap_px": outlined_gap_px(candidate, best),
         "surrogate_force_sd_N": float(np.median(predicted.bound.force_N)),
     }
+    shown = (
+        "marker_count",
+        "density_mean_per_cm2",
+        "density_least_per_cm2",
+        "sampled_visible_least",
+        "sampled_hidden",
+        "sampled_gap_px",
+        "surrogate_force_sd_N",
+        "pitch_least_mm",
+        "height_most_mm",
+        "stack_mm",
+        "mass_g",
+    )
     drawn: Json = finite(
         {
             "refused": str(refused) if refused else "",
@@ -142,7 +140,7 @@ def _drawn(candidate: Candidate, refused: DesignError | None, side_px: int, chec
                     "unit": MEASURES[name].unit,
                     "doc": MEASURES[name].doc,
                 }
-                for name in SHOWN
+                for name in shown
             ],
             "surface_class": surface_class(markers),
             "view": _view(candidate, fraction, density.per_cm2),

@@ -7,11 +7,9 @@ from typing import Any
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.print_rules_table import PROCESSES
 from phytac_design.design.spec import CAMERA_PRESETS, SHAPE_MODELS, Design
+from phytac_design.report.figure_names import words_of
 
 Json = dict[str, Any]
-_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:\.[A-Za-z][A-Za-z0-9_]*)*")
-UNITS = {"mm": "mm", "deg": "°", "px": "px", "N": "N", "MPa": "MPa", "Hz": "Hz", "um": "µm"}
-"""Unit by the last word of a field's name."""
 WHEN: dict[str, tuple[str, tuple[str, ...]]] = {
     "layout.rows": ("layout.kind", ("spiral", "straight")),
     "layout.columns": ("layout.kind", ("spiral", "straight")),
@@ -33,11 +31,6 @@ WHEN: dict[str, tuple[str, tuple[str, ...]]] = {
     "camera.fill": ("camera.stand_off_mm", ("fit",)),
 }
 """Fields that apply only if another one has one of some values."""
-SETS = {
-    "camera.preset": sorted(set().union(*CAMERA_PRESETS.values())),
-    "print_rules.process": sorted(set().union(*PROCESSES.values())),
-}
-"""Presets: a choice replaces the values of these fields."""
 
 
 def form() -> Json:
@@ -48,7 +41,8 @@ def form() -> Json:
     dict
         ``tables``: in order, each with ``name``, ``doc`` and ``fields``; ``shapes``: the fields of
         each surface family; ``examples``: a shape table of each family, from a shipped design;
-        ``when`` and ``sets``: see ``WHEN`` and ``SETS``.
+        ``when`` and ``sets``: see ``WHEN``, and the fields whose
+        values a preset replaces.
     """
     schema = Design.model_json_schema()
     parts, top = schema["$defs"], schema["properties"]
@@ -67,7 +61,10 @@ def form() -> Json:
         },
         "examples": examples,
         "when": {name: {"field": field, "is": list(of)} for name, (field, of) in WHEN.items()},
-        "sets": SETS,
+        "sets": {
+            "camera.preset": sorted(set().union(*CAMERA_PRESETS.values())),
+            "print_rules.process": sorted(set().union(*PROCESSES.values())),
+        },
     }
 
 
@@ -122,12 +119,11 @@ def _field(path: str, table: str, item: Json, parts: Json) -> Json:
         kind = "choice"
     else:
         kind = "text" if plain else "json"
-    parts_of_key = key.split("_")
-    unit = UNITS.get(parts_of_key[-1], "") if len(parts_of_key) > 1 else ""
+    label, unit = words_of(key)
     limits = number or {}
     return {
         "path": path,
-        "label": " ".join(parts_of_key[:-1] if unit else parts_of_key),
+        "label": label,
         "unit": unit,
         "doc": " ".join(item.get("description", "").split()),
         "kind": kind,
@@ -155,7 +151,7 @@ def error_body(text: str, paths: list[str]) -> dict[str, Any]:
     }
     fields: dict[str, str] = {}
     for sentence in _sentences(text, known):
-        for word in _WORD.findall(sentence):
+        for word in re.findall(r"[A-Za-z][A-Za-z0-9_]*(?:\.[A-Za-z][A-Za-z0-9_]*)*", sentence):
             parts = word.split(".")
             found = next(
                 (".".join(parts[:n]) for n in (2, 1) if ".".join(parts[:n]) in known),

@@ -40,13 +40,8 @@ from phytac_shapes.errors import DesignError, InputError, OutputError
 
 JOURNAL_FOLDER = ".work"
 """Folder of finished samples inside the data set's; removed when the data set is complete."""
-IMAGING_STREAM = 7
-"""Stream of random numbers of what is seen of a sample."""
 PROGRESS_INTERVAL_s = 2.0
 """Seconds between lines of progress."""
-FEW_FOUND = "less than 95 % of the markers were found"
-LONG_S = 120.0
-"""Above this the remaining time is shown in minutes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +167,8 @@ class SampleWorker:
         rows = np.flatnonzero(plan.touches.sample == index)
         touches = plan.touches.pick(rows, [index])
         moved = self.solver.solve(touches, plan.felt_N[rows])
-        rng = np.random.default_rng([job.seed, IMAGING_STREAM, index])
+        # Stream 7 of random numbers is that of what is seen of a sample.
+        rng = np.random.default_rng([job.seed, 7, index])
         facts: dict[str, Any] = {
             "status": moved.status,
             "reasons": [moved.reason] if moved.reason else [],
@@ -200,7 +196,7 @@ class SampleWorker:
                 arrays = {"shift_px": seen.shift_px, "bits_read": seen.bits & seen.found}
                 if seen.found.mean() < FOUND_WELL and facts["status"] == "ok":
                     facts["status"] = "flagged"
-                    facts["reasons"].append(FEW_FOUND)
+                    facts["reasons"].append("less than 95 % of the markers were found")
         try:
             self.journal.put(str(index), facts, arrays)
         except OSError as error:
@@ -379,7 +375,7 @@ def _line(facts: Mapping[int, Any], before: int, total: int, seconds: float) -> 
     odd = Counter(fact["status"] for fact in facts.values())
     words = [f"{odd[status]} {status}" for status in STATUSES[1:] if odd[status]]
     if new > 1:
-        words.append(f"{left / 60.0:.0f} min left" if left > LONG_S else f"{left:.0f} s left")
+        words.append(f"{left / 60.0:.0f} min left" if left > 120.0 else f"{left:.0f} s left")
     return f"simulate: {', '.join([f'{len(facts)} of {total} samples', *words])}"
 
 

@@ -30,7 +30,6 @@ from phytac_design.training.training_data import (
 
 TABLE = "training.json"
 FORMAT, SCHEMA = "phytac-training", "1.0"
-PARTS = ("training", "validation", "test")
 MECHANICS = [name for name in DECODER.depends_on if name != "twin"]
 """Stages of a build that the decoder needs, without its simulated data."""
 
@@ -116,6 +115,7 @@ def train(
             and {name: finite(score["relative_error"]) for name, score in held_out.items()},
         }
         bundle = replace(bundle, notes=bundle.notes | notes)
+        names = ("training", "validation", "test")
         facts: dict[str, Any] = {
             "format": FORMAT,
             "schema_version": SCHEMA,
@@ -125,8 +125,8 @@ def train(
             "seed": seed,
             "start": bundle.notes.get("start"),
             "data": [item.facts() for item in sets],
-            "samples": dict(zip(PARTS, [part.count for part in parts], strict=True)),
-            "key_nodes": dict(zip(PARTS, [len(part.rows.force_N) for part in parts], strict=True)),
+            "samples": dict(zip(names, [part.count for part in parts], strict=True)),
+            "key_nodes": dict(zip(names, [len(part.rows.force_N) for part in parts], strict=True)),
             "trainers": trained,
             "test": held_out,
         }

@@ -316,7 +316,7 @@ def _positions() -> Reader:
 
 
 def _body() -> Reader:
-    from phytac_design.design.fixture_files import read_stl
+    from phytac_design.design.fixture_table import read_stl
 
     make = texts("x.stl", BODIES)
     return Reader(make=make, read=lambda at: read_stl(at / "x.stl"))

@@ -203,19 +203,6 @@ def test_two_builds_at_once_into_one_folder(
     check_whole(tmp_path / "x")
 
 
-def test_a_folder_that_another_build_just_looks_at_is_free(tmp_path: Path) -> None:
-    """Two that begin at once: the one's probe is no file of somebody's."""
-    (tmp_path / "x").mkdir()
-    (tmp_path / "x" / module.PROBE).write_text("")
-    make(tmp_path / "x")
-    check_whole(tmp_path / "x")
-    (tmp_path / "y").mkdir()
-    for name in (module.PROBE, "thesis.tex"):
-        (tmp_path / "y" / name).write_text("")
-    with pytest.raises(OutputError, match="is not empty and not a build"):
-        make(tmp_path / "y")
-
-
 @pytest.mark.parametrize(
     "text",
     [

@@ -15,7 +15,7 @@ from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import load_design
-from phytac_design.design.fixture_files import read_stl
+from phytac_design.design.fixture_table import read_stl
 from phytac_design.design.positions import read_positions
 from phytac_design.design.scene import load_scene
 from phytac_design.mechanics.switch.material_fit import read_test

@@ -11,7 +11,7 @@ import pytest
 
 from phytac_design.design.design_file import load_design, parse_design, to_toml
 from phytac_design.design.field_groups import fields_of
-from phytac_design.design.fixture_files import TRIANGLES_MAX, read_stl
+from phytac_design.design.fixture_table import TRIANGLES_MAX, read_stl
 from phytac_design.design.spec import Design
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout.cameras import camera_of

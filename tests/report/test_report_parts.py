@@ -1,7 +1,6 @@
 """Parts of the page: pictures of a press, numbers of markers, advice, provenance, files."""
 
 import base64
-import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.loaded_visibility import LoadedVisibility
 from phytac_design.optics.render_scene import build_scene
-from phytac_design.report import explorer, press_pictures, suggested_changes
+from phytac_design.report import explorer, press_pictures, verdict
 from phytac_design.stages.build import BuildResult
 from phytac_design.stages.loaded_views_stage import Presses
 from tests.designs import small
@@ -54,7 +53,7 @@ def test_a_window_is_a_part_of_the_picture(bent: bool) -> None:
     # Edges of pictures lie half a pixel before the first pixel's centre.
     expected = (camera.project(tips) + 0.5 - low) * (out / width) - 0.5
     assert part.project(tips) == pytest.approx(expected, abs=1e-9)
-    near = press_pictures.close_to(camera, tips[20])
+    near = press_pictures.close_to(camera, tips[20], 640)
     middle = near.project(tips[20][None])[0]
     assert (middle > 0.0).all()
     assert (middle < [near.width_px, near.height_px]).all()
@@ -76,14 +75,14 @@ def test_pictures_go_from_rest_to_the_full_force(tmp_path: Path) -> None:
     assert made is not None
     assert (made.marker, made.camera) == (9, 0)
     top = context.design.training.force_max_N
-    assert made.force_N == pytest.approx(np.linspace(0.0, top, press_pictures.STEPS))
+    assert made.force_N == pytest.approx(np.linspace(0.0, top, 6))
     assert made.on[0] == 0
     assert (np.diff(made.on) >= 0).all()
     assert made.on[-1] > 0
-    assert len(made.whole) == len(made.close) == press_pictures.STEPS
+    assert len(made.whole) == len(made.close) == 6
     frames = [cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) for data in made.whole]
     camera = cameras_of(context.design, context.surface)[0]
-    camera = press_pictures.window(camera, np.zeros(2), camera.width_px, press_pictures.WIDTH_PX)
+    camera = press_pictures.window(camera, np.zeros(2), camera.width_px, 640)
     tolerance = tolerance_mm(camera, context.markers)
     scene = build_scene(context.sensor, tolerance_mm=tolerance)
     rest = render_frame(scene, camera, samples=4)
@@ -105,7 +104,7 @@ def test_pictures_go_from_rest_to_the_full_force(tmp_path: Path) -> None:
     tips = [red(data) for data in made.close]
     assert tips[-1] > 1.2 * tips[0] > 0  # switches that are on show their red sides too
     html = press_pictures.press_slider(made, "(row 1, column 1)", "")
-    assert html.count("<img ") == 2 * press_pictures.STEPS
+    assert html.count("<img ") == 2 * 6
     assert html.count(" class=&quot;ends&quot;") == 0
     assert html.count('class="ends"') == 4
 
@@ -216,14 +215,14 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         context.folders[name] = tmp_path / name
         write_facts(tmp_path / name, values)
-    assert suggested_changes.changes_of(context, []) == []
+    assert verdict.changes_of(context, []) == []
     write_facts(tmp_path / "underload", {"first_force_N": 12.5})
     hole = violation("hole", "widen the hole", 0.2)
     files = {"shell/shell.stl": {"violations": [*broken, hole]}, "a.stl": {"violations": []}}
     write_facts(tmp_path / "printing", {"files": files})
     spread = {"warnings": ["assumed: x", "the threshold spreads"]}
     write_facts(tmp_path / "switch", {"switches": [spread, spread]})
-    found = suggested_changes.changes_of(context, ["2 markers hidden; move the camera back"])
+    found = verdict.changes_of(context, ["2 markers hidden; move the camera back"])
     assert found[0] == "2 markers hidden; move the camera back"
     assert found[1].startswith("from 12.5 N on a marker hides or fuses: ")
     assert found[2].startswith("3 places of shell/shell.stl break the print rule wall")
@@ -232,9 +231,7 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
     assert found[3].endswith(": widen the hole")
     assert found[4:] == ["the threshold spreads"]
     # What the design's own demand says already is not said twice.
-    again = suggested_changes.changes_of(
-        context, ["under load markers hide or fuse from 12.5 N on"]
-    )
+    again = verdict.changes_of(context, ["under load markers hide or fuse from 12.5 N on"])
     assert sum("from 12.5 N" in text for text in again) == 1
 
 
@@ -264,8 +261,6 @@ def test_a_build_says_where_it_comes_from(built: BuildResult) -> None:
     assert made["versions"]["numpy"] == manifest["versions"]["numpy"]
     for text in (made["design_sha256"], made["program_sha256"], "height_far_mm = 6.0"):
         assert text in html
-    stl = hashlib.sha256((built.out / "shell" / "shell.stl").read_bytes()).hexdigest()
-    assert stl in html
     images = page.images_of(html)
     assert {"shell.png", "layout.png", "pressed_all_0.jpg", "softness.png"} <= set(images)
     written = {path.name: path.read_bytes() for path in (built.out / "report" / "images").iterdir()}

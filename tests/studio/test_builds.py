@@ -30,7 +30,9 @@ def program(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The stand-in in the place of Python; its mode is a file's text."""
     path = stand_in(place, "short")
     monkeypatch.setattr("phytac_design.studio.build_process.sys.executable", str(path))
-    monkeypatch.setattr("phytac_design.studio.build_process.STOP_TIMEOUTS_S", (0.6, 0.6))
+    monkeypatch.setattr(
+        "phytac_design.studio.build_process.BuildRunner.stop_timeouts_s", (0.6, 0.6)
+    )
     for name in ("pid", "child", "ready"):
         (place / name).unlink(missing_ok=True)
     return place

@@ -1,14 +1,12 @@
 """The scripts and the style of the viewer, as text to go into a page."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib import resources
 from typing import Any
 
 SCRIPTS = ("three.bundle.min.js", "colours.js", "viewer.js", "map.js", "explorer.js")
 """In the order that they need each other."""
-PAGE_SCRIPTS = (*SCRIPTS, "page.js")
-"""Those of a report: the last one starts the others."""
 
 
 def text_of(name: str) -> str:
@@ -17,9 +15,9 @@ def text_of(name: str) -> str:
     return (folder / name).read_text(encoding="utf-8")
 
 
-def script_tags(names: Sequence[str] = SCRIPTS) -> str:
-    """The scripts, inline."""
-    return "".join(f"<script>{text_of(name)}</script>" for name in names)
+def script_tags() -> str:
+    """The scripts of a report, inline; the last one starts the others."""
+    return "".join(f"<script>{text_of(name)}</script>" for name in (*SCRIPTS, "page.js"))
 
 
 def style() -> str:

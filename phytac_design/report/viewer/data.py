@@ -56,8 +56,6 @@ if TYPE_CHECKING:
 
 LOG_RANGE = 20.0
 """Values that differ by more than this factor are coloured on a logarithmic scale."""
-TUBE_VIEW = np.array([0.62, -0.70, 0.35])
-"""Direction that tubes are first viewed from."""
 
 
 @dataclass(frozen=True)
@@ -140,11 +138,12 @@ def base_colourings(markers: Markers) -> list[Colouring]:
 
 def eye_of(surface: Surface, markers: Markers) -> FloatArray:
     """Unit vector (3,) towards the first viewpoint: beside tubes, on the marker side of others."""
+    tube_view = np.array([0.62, -0.70, 0.35])
     if surface_topology(surface) == "tube":
-        return np.asarray(TUBE_VIEW / np.linalg.norm(TUBE_VIEW))
+        return np.asarray(tube_view / np.linalg.norm(tube_view))
     inward = -markers.normal.mean(axis=0)
     inward /= max(float(np.linalg.norm(inward)), 1e-9)
-    aside = TUBE_VIEW - (TUBE_VIEW @ inward) * inward
+    aside = tube_view - (tube_view @ inward) * inward
     eye = inward + 0.6 * aside / np.linalg.norm(aside)
     return np.asarray(eye / np.linalg.norm(eye))
 

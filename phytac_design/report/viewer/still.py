@@ -16,25 +16,20 @@ from phytac_design.report.viewer.data import eye_of
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-WIDTH_PX, HEIGHT_PX = 1800, 1400
-FINER = 2
-"""How much finer than the picture it is rendered, along both sides."""
-FIELD_DEG = 28.0
-FILL = 0.92
-"""Share of the picture that the shell fills, along its longer side."""
-TOLERANCE_mm = 0.1
 
-
-def still_picture(sensor: Sensor) -> bytes:
+def still_picture(sensor: Sensor, size_px: tuple[int, int] = (900, 700)) -> bytes:
     """PNG of the shell as the viewer first shows it; tubes are cut open towards the eye."""
+    finer = 2  # how much finer than the picture it is rendered, along both sides
     surface, markers = sensor.surface, sensor.markers
     eye = eye_of(surface, markers)
-    scene = cut_open(build_scene(sensor, tolerance_mm=TOLERANCE_mm), surface, markers, eye)
+    scene = cut_open(build_scene(sensor, tolerance_mm=0.1), surface, markers, eye)
     shown = scene.vertices[np.unique(scene.triangles)]
-    image = render_frame(scene, camera_at(eye, shown), samples=1)
+    image = render_frame(
+        scene, camera_at(eye, shown, size_px[0] * finer, size_px[1] * finer), samples=1
+    )
     # Nothing in the scene is black but the background, which paper should not be.
     image[(image <= max(BACKGROUND)).all(axis=2)] = 255
-    small = cv2.resize(image, (WIDTH_PX // FINER, HEIGHT_PX // FINER), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image, size_px, interpolation=cv2.INTER_AREA)
     return bytes(cv2.imencode(".png", small)[1])
 
 
@@ -53,16 +48,28 @@ def cut_open(
     return replace(scene, triangles=scene.triangles[keep], part=scene.part[keep])
 
 
-def camera_at(eye: FloatArray, points_mm: FloatArray) -> Camera:
-    """Camera in direction ``eye`` (3,) from points (n, 3) that sees them all; z points up."""
+def camera_at(
+    eye: FloatArray,
+    points_mm: FloatArray,
+    width_px: int,
+    height_px: int,
+    *,
+    field_deg: float = 28.0,
+    fill: float = 0.92,
+) -> Camera:
+    """Camera in direction ``eye`` (3,) from points (n, 3) that sees them all; z points up.
+
+    They fill a share ``fill`` of its picture along the longer side; ``field_deg`` is its upright
+    field of view.
+    """
     right = np.cross(eye, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     axes = np.stack([-right, np.cross(eye, right), -eye])
     low, high = points_mm.min(axis=0), points_mm.max(axis=0)
     middle = (low + high) / 2.0
-    focal = HEIGHT_PX / 2.0 / np.tan(np.deg2rad(FIELD_DEG) / 2.0)
+    focal = height_px / 2.0 / np.tan(np.deg2rad(field_deg) / 2.0)
     local = (points_mm - middle) @ axes.T
-    half = np.array([WIDTH_PX, HEIGHT_PX]) * FILL / 2.0
+    half = np.array([width_px, height_px]) * fill / 2.0
     away = float((focal * np.abs(local[:, :2]) / half - local[:, 2:]).max())
-    lens = pinhole(width_px=WIDTH_PX, height_px=HEIGHT_PX, focal_px=float(focal))
+    lens = pinhole(width_px=width_px, height_px=height_px, focal_px=float(focal))
     return Camera(lens=lens, position_mm=middle + away * eye, rotation=axes)

@@ -141,7 +141,7 @@ class Workload:
         pixels = len(camera.end_numbers) * camera.width_px * camera.height_px / 1e6
         in_play = n if in_play is None else in_play
         samples = samples_of(design, accuracy.sample_share)
-        if scene is not None and not scene.samples:
+        if scene is not None and not scene.networks:
             samples = {"train": 0, **SCENE_SAMPLES}
         at_once = scene.at_once if scene else ALL_AT_ONCE
         mean = 1.0 + design.training.multi_contact * at_once / 2.0 if at_once > 1 else 1.0

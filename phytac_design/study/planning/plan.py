@@ -274,7 +274,7 @@ def lost_by(name: str, resolved: Resolved, counts: Counts) -> str:
         if limited
         else "",
         "twin": ""
-        if scene.samples
+        if scene.networks
         else "evaluated on few contacts; the mesh is coarse outside the regions",
         "decoder": "" if scene.networks else "no networks of the paper",
         "underload": "no presses outside the regions" if limited else "",

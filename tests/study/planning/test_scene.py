@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.design.scene import SCENE_DEFAULTS, Scene, load_scene, shipped_scenes
+from phytac_design.design.scene import SCENE_DEFAULTS, SCENE_FILES, Scene, load_scene
 from phytac_shapes.errors import DesignError
 from tests.study.planning.scenes import scene
 
 
 def test_shipped_scenes_are_those_that_the_docs_name() -> None:
-    assert shipped_scenes() == ["fabrication", "fingertip", "grip5", "occlusion"]
-    for name in shipped_scenes():
+    assert SCENE_FILES.shipped() == ["fabrication", "fingertip", "grip5", "occlusion"]
+    for name in SCENE_FILES.shipped():
         assert load_scene(name).name == name
         assert load_scene(name).description
 
