@@ -135,7 +135,7 @@ def _ghosts(
 
 def sheet_of_paper(width_mm: float, height_mm: float) -> tuple[Any, Any]:
     """Figure of a size, and axes all over it in millimetres, y downwards from the top left."""
-    figure = new_figure((width_mm / 25.4, height_mm / 25.4), layout=None)
+    figure = new_figure((width_mm / 25.4, height_mm / 25.4), constrained=False)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), zorder=1)
     axes.set(xlim=(0.0, width_mm), ylim=(height_mm, 0.0))
     axes.set_axis_off()
