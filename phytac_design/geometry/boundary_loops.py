@@ -82,7 +82,7 @@ def edge_distance_mm(surface: Surface, uv: FloatArray, axis: int, end: int) -> F
         foot[:, 1 - axis] += np.sum(arm * along, axis=1) / np.sum(along**2, axis=1)
         if not surface.periodic[1 - axis]:
             foot[:, 1 - axis] = np.clip(foot[:, 1 - axis], low, high)
-    return np.minimum(best, np.linalg.norm(points - surface.point(foot), axis=1))
+    return np.asarray(np.minimum(best, np.linalg.norm(points - surface.point(foot), axis=1)))
 
 
 def check_topology(surface: Surface) -> None:

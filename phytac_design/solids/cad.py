@@ -123,7 +123,7 @@ def write_step(solid: Any, path: Path, *, name: str = "shell") -> None:
 
 
 def _undated(path: Path) -> tuple[str, str]:
-    """Head, with a fixed time stamp, and data of a STEP file: the same inputs give the same file."""
+    """Head, with a fixed time stamp, and data of a STEP file."""
     head, data = path.read_text(encoding="latin-1").split("DATA;", 1)
     stamp = "'2000-01-01T00:00:00'"
     return re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", stamp, head), data

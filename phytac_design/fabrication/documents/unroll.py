@@ -146,11 +146,8 @@ def _piece(surface: Surface, uv: FloatArray, pieces: int) -> IntArray:
 def _stretch(surface: Surface, flat: FlatMap, uv: FloatArray, piece: IntArray) -> FloatArray:
     step_share = 1e-5  # of the differences, relative to the chart
     span = surface.domain[:, 1] - surface.domain[:, 0]
-    inside = np.clip(
-        uv,
-        surface.domain[:, 0] + 2 * step_share * span,
-        surface.domain[:, 1] - 2 * step_share * span,
-    )
+    low, high = surface.domain.T
+    inside = np.clip(uv, low + 2 * step_share * span, high - 2 * step_share * span)
     columns = []
     for axis in (0, 1):
         step = np.zeros(2)

@@ -101,7 +101,7 @@ def check_troughs(sizes: MoldSizes) -> None:
         )
 
 
-def frustum(*ends: tuple[float, Sequence[float], Sequence[float]]) -> Any:
+def frustum(*ends: tuple[float, Any, Any]) -> Any:
     """Convex body between rectangles, each as (z, low corner, high corner)."""
     import manifold3d
 
