@@ -23,7 +23,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame
 from phytac_decoder.pipeline.tracker import Follower
-from phytac_decoder.serving.torn_frames import FRAMES_CHANGED_MIN, TornFrameDetector
+from phytac_decoder.serving.torn_frames import TornFrameDetector
 from phytac_design.design.design_file import load_design
 from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import ImageArray
@@ -165,7 +165,10 @@ def _torn_detector(
 ) -> TornFrameDetector:
     """Detector that has seen frames of the press before a sample; the last is its ``other``."""
     detector = TornFrameDetector()
-    for seed in (*(10000 * k + index for k in range(3, 3 + FRAMES_CHANGED_MIN)), 2000 + index):
+    for seed in (
+        *(10000 * k + index for k in range(3, 3 + TornFrameDetector.frames_changed_min)),
+        2000 + index,
+    ):
         if detector.check([bench.shot(light, seed=seed)]):
             raise InputError(
                 "noise-draws-equal", f"sample {index}: two draws of the noise are the same"

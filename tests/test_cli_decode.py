@@ -321,7 +321,7 @@ def test_what_a_camera_gave_is_kept_when_it_goes(
 ) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     monkeypatch.setattr(live_camera.cv2, "VideoCapture", FakeCamera)
-    monkeypatch.setattr(live_camera, "SILENT_S", 0.5)
+    monkeypatch.setattr(live_camera.CameraSource, "silent_s", 0.5)
     out = tmp_path / "out.parquet"
     with pytest.raises(InputError, match=r"camera 7 has given no frame for 0\.5 s"):
         run(toy / "decoder", "7", "--parquet", out)

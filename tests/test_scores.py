@@ -45,16 +45,13 @@ def test_intervals_of_the_mean_are_those_of_theory() -> None:
 
 
 @pytest.mark.parametrize("together", [10, 10**6])
-def test_resampled_measures_are_those_of_the_drawn_contacts(
-    together: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("phytac_design.training.evaluation.contact_scores.TOGETHER", together)
+def test_resampled_measures_are_those_of_the_drawn_contacts(together: int) -> None:
     rng = np.random.default_rng(1)
     sample = np.sort(rng.integers(0, 12, 40))
     truth = rng.uniform(1.0, 20.0, 40)
     estimate = truth + rng.normal(size=40)
     chosen = rng.random(40) < 0.6
-    bootstrap = Bootstrap(sample=sample, seed=3, resamples=50)
+    bootstrap = Bootstrap(sample=sample, seed=3, resamples=50, together=together)
     score = bootstrap.score(estimate, truth, chosen)
     rows = [np.flatnonzero(bootstrap.groups[1] == k) for k in range(bootstrap.groups[0])]
     drawn = []

@@ -7,6 +7,7 @@ face (:mod:`feet`).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import factorial
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,7 +15,6 @@ from scipy.spatial import cKDTree
 from phytac_decoder.io.bundle_locator import PLACES_MIN
 from phytac_decoder.mechanics.interaction_table import InteractionTable
 from phytac_decoder.mechanics.response_table import (
-    FACTORIALS,
     FLATNESS_NEIGHBOURS,
     TERMS,
     ResponseTable,
@@ -324,7 +324,7 @@ def interpolate_responses(places: ResponseTable, points_mm: FloatArray) -> Float
     for place in np.unique(nearest).tolist():
         own = np.flatnonzero(nearest == place)
         x, y = places.tangent_coordinates(place, points_mm[own]).T
-        powers = np.stack([x**a * y**b / (FACTORIALS[a] * FACTORIALS[b]) for a, b in TERMS])
+        powers = np.stack([x**a * y**b / (factorial(a) * factorial(b)) for a, b in TERMS])
         out[own] = np.einsum("tm,tkr->mkr", powers, places.cubic(place))
     return out
 

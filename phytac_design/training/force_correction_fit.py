@@ -28,11 +28,11 @@ class CorrectionSettings:
     """Smallest error of the physics, as a share of the force."""
     iterations: int = 3
     """Iterations of fit and spread."""
+    quantile_90: float = 1.6449
+    """Half-width of a normal distribution's central 90 %, in standard deviations."""
 
 
 SETTINGS = CorrectionSettings()
-QUANTILE_90 = 1.6449
-"""Half-width of a normal distribution's central 90 %, in standard deviations."""
 
 
 def fit_correction(
@@ -134,7 +134,7 @@ def fit_spread(error_N: FloatArray, sd_N: FloatArray, force_N: FloatArray) -> tu
         best = min(best, (score, float(factor), scale))
     if np.isinf(best[0]):
         # The errors are below the smallest factor.
-        return float(np.quantile(error_N / sd_N, 0.9)) / QUANTILE_90, 0.0
+        return float(np.quantile(error_N / sd_N, 0.9)) / SETTINGS.quantile_90, 0.0
     return best[1], best[2]
 
 
@@ -146,10 +146,10 @@ def _share_for(error_N: FloatArray, sd_N: FloatArray, force_N: FloatArray) -> fl
     def quantile(share: float) -> float:
         return float(np.quantile(error_N / np.hypot(sd_N, share * force_N), level))
 
-    if quantile(0.0) < QUANTILE_90:
+    if quantile(0.0) < SETTINGS.quantile_90:
         return None
     low, high = 0.0, 1.0
     for _ in range(30):
         middle = (low + high) / 2.0
-        low, high = (middle, high) if quantile(middle) > QUANTILE_90 else (low, middle)
+        low, high = (middle, high) if quantile(middle) > SETTINGS.quantile_90 else (low, middle)
     return high

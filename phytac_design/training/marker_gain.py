@@ -19,11 +19,19 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-GAIN_SD = 0.02
-"""Prior standard deviation of G's entries: that of virtual prints."""
-NOISE_MIN_px = 1e-4
-PRIOR_COUNT = 10.0
-"""Weight of the prior of a marker's noise, in measurements."""
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerGainSettings:
+    """Priors of the fit, chosen on virtual prints."""
+
+    gain_sd: float = 0.02
+    """Standard deviation of G's entries."""
+    noise_min_px: float = 1e-4
+    prior_count: float = 10.0
+    """Weight of the prior of a marker's noise, in measurements."""
+
+
+SETTINGS = MarkerGainSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,16 +157,16 @@ def fit_gains(seen: PredictionResiduals) -> FloatArray:
     both = r.transpose(1, 2, 0) @ by_marker
     # Only markers that move by more than this determine the noise of the fit.
     moved = known & (np.linalg.norm(e, axis=2) > 0.2)
-    usual = max(float(np.mean(r[moved] ** 2)), NOISE_MIN_px**2) if moved.any() else 1.0
+    usual = max(float(np.mean(r[moved] ** 2)), SETTINGS.noise_min_px**2) if moved.any() else 1.0
     variance = np.full(e.shape[1], usual)
     gain = np.zeros_like(square)
     for _ in range(2):  # gain and variance in turns
-        ridge = (variance / GAIN_SD**2)[:, None, None] * np.eye(2)
+        ridge = (variance / SETTINGS.gain_sd**2)[:, None, None] * np.eye(2)
         # A is symmetric: G A = B.
         gain = np.swapaxes(np.linalg.solve(square + ridge, np.swapaxes(both, 1, 2)), 1, 2)
         after = (r - np.einsum("kab,skb->ska", gain, e)) * moved[:, :, None]
-        total = np.sum(after**2, axis=(0, 2)) + PRIOR_COUNT * usual
-        variance = total / (2.0 * moved.sum(axis=0) + PRIOR_COUNT)
+        total = np.sum(after**2, axis=(0, 2)) + SETTINGS.prior_count * usual
+        variance = total / (2.0 * moved.sum(axis=0) + SETTINGS.prior_count)
     return np.asarray(gain)
 
 
@@ -206,10 +214,10 @@ def estimate_marker_noise(
     number = known.sum(axis=0)
     some = number > 0
     usual = float(np.median(square[some] / number[some])) if some.any() else 1.0
-    each = np.sqrt((square + PRIOR_COUNT * usual) / (number + PRIOR_COUNT))
+    each = np.sqrt((square + SETTINGS.prior_count * usual) / (number + SETTINGS.prior_count))
     on = after[seen.on[:, :, None] & found]
     switched = float(np.sqrt(np.mean(on**2))) if len(on) >= 20 else None  # two coordinates each
-    return np.maximum(each, NOISE_MIN_px).reshape(-1), switched
+    return np.maximum(each, SETTINGS.noise_min_px).reshape(-1), switched
 
 
 def apply_gain(places: ResponseTable, gain: FloatArray) -> ResponseTable:

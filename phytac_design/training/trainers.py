@@ -16,8 +16,6 @@ from phytac_design.training.locator_calibration import calibrate_locator
 from phytac_design.training.training_data import SplitPart
 from phytac_shapes.errors import InputError
 
-LINEAR = (THEORIES.index("rest"), THEORIES.index("linear"))
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingTask:
@@ -98,7 +96,8 @@ def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
     if model.locator is None or samples is None:
         missing = "tables in the decoder" if model.locator is None else "points in the data"
         return model, {"left": f"as designed: no {missing}"}
-    linear = bool(np.isin(samples.theory, LINEAR).all())
+    theories = [THEORIES.index(name) for name in ("rest", "linear")]
+    linear = bool(np.isin(samples.theory, theories).all())
     locator, facts = calibrate_locator(
         model.locator.linear if linear else model.locator,
         samples,

@@ -11,8 +11,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
-TEXT_BYTES_MAX = 1 << 24
-"""Largest text file that is read: some hundred times the largest shipped one."""
 PROBLEMS_MAX, LETTERS_MAX = 20, 600
 """Problems of one file listed in a message, and characters of each."""
 
@@ -25,8 +23,8 @@ def joined(problems: Iterable[str]) -> str:
     return "; ".join(out[:PROBLEMS_MAX]) + (f"; and {more} more" if more > 0 else "")
 
 
-def read_bytes(path: Path, *, bytes_max: int = TEXT_BYTES_MAX) -> bytes:
-    """Bytes of a regular file.
+def read_bytes(path: Path, *, bytes_max: int = 1 << 24) -> bytes:
+    """Bytes of a regular file; at most some hundred times the largest shipped one.
 
     Raises
     ------
@@ -69,7 +67,7 @@ def _opened(path: Path, bytes_max: int) -> BinaryIO:
     raise OSError(errno.EFBIG, sizes)
 
 
-def read_text(path: Path, *, encoding: str = "utf-8", bytes_max: int = TEXT_BYTES_MAX) -> str:
+def read_text(path: Path, *, encoding: str = "utf-8", bytes_max: int = 1 << 24) -> str:
     """Text of a regular file, its line ends made plain line feeds.
 
     Raises

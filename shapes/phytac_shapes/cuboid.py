@@ -14,7 +14,7 @@ r"""A box with rounded edges around the optical axis, open at both ends; chosen 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from phytac_shapes.surface import Surface
 from phytac_shapes.variables import check_variables, choice, variable
 
 Face = Literal["+x", "+y", "-x", "-y"]
-FACES: tuple[Face, ...] = ("+x", "+y", "-x", "-y")
+FACES = get_args(Face)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,9 +24,6 @@ from phytac_shapes.revolved import SEGMENTS, Revolved
 from phytac_shapes.spline import Spline
 from phytac_shapes.variables import check_variables, variable
 
-STEPS = 30
-CHUNK = 20_000
-
 
 @dataclass(frozen=True, kw_only=True)
 class Grip(Revolved):
@@ -87,7 +84,8 @@ class Grip(Revolved):
     def foot(self, rz: FloatArray) -> FloatArray:
         """Nearest z by Newton's method from the nearest of 128 stations."""
         rz = np.asarray(rz, dtype=np.float64)
-        parts = [self._foot(rz[k : k + CHUNK]) for k in range(0, len(rz), CHUNK)]
+        chunk = 20_000  # bounds the memory
+        parts = [self._foot(rz[k : k + chunk]) for k in range(0, len(rz), chunk)]
         return np.concatenate([np.zeros(0), *parts])
 
     def _foot(self, rz: FloatArray) -> FloatArray:
@@ -98,7 +96,7 @@ class Grip(Revolved):
         u = stations[np.argmin(gap, axis=1)]
         # The profile is straight beyond its ends, so an end is a good start.
         reach = stations[1]
-        for _ in range(STEPS):
+        for _ in range(30):
             r, first, second = self._spline.at(u / self._step)
             first, second = first / self._step, second / self._step**2
             miss = (rz[:, 0] - r) * first + rz[:, 1] - u

@@ -23,11 +23,6 @@ from phytac_shapes.spline import Spline
 from phytac_shapes.surface import Surface
 from phytac_shapes.variables import check_variables, variable
 
-SAMPLES = 8
-"""Samples of a cell's side among which the start of Newton's method is chosen."""
-STEPS = 40
-CHUNK = 4_000
-
 
 @dataclass(frozen=True, kw_only=True)
 class Patch(Surface):
@@ -129,19 +124,21 @@ class Patch(Surface):
     def chart(self, points_mm: FloatArray) -> FloatArray:
         """(u, v) of the nearest foot, (n, 2), by Newton's method from the nearest sample."""
         points = np.asarray(points_mm, dtype=np.float64)
-        parts = [self._chart(points[k : k + CHUNK]) for k in range(0, len(points), CHUNK)]
+        chunk = 4_000  # bounds the memory
+        parts = [self._chart(points[k : k + chunk]) for k in range(0, len(points), chunk)]
         return np.concatenate([np.zeros((0, 2)), *parts])
 
     @cached_property
     def _samples(self) -> tuple[FloatArray, FloatArray]:
-        uv = self._lattice(SAMPLES)
+        # Eight samples of a cell's side, among which the start of Newton's method is chosen.
+        uv = self._lattice(8)
         return uv, self._derivatives(uv, 0)[0]
 
     def _chart(self, points: FloatArray) -> FloatArray:
         uv_known, known = self._samples
         gap = (known**2).sum(axis=1) - 2.0 * points @ known.T
         uv = uv_known[np.argmin(gap, axis=1)].copy()
-        for _ in range(STEPS):
+        for _ in range(40):
             x, xu, xv, xuu, xuv, xvv = self._derivatives(uv)
             d = points - x
             right = np.stack([np.sum(d * xu, axis=1), np.sum(d * xv, axis=1)], axis=1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phytac_decoder.pipeline.colour_calibration import LIT, fit_colours
+from phytac_decoder.pipeline.colour_calibration import SETTINGS, fit_colours
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 from tests.decoder.test_follow import MODEL
@@ -55,4 +55,4 @@ def test_hues_that_are_far_off_are_found(turn_deg: float) -> None:
 
 def test_the_floor_starts_at_a_share_of_what_paint_shows() -> None:
     found = fit_colours(MODEL, samples(np.full(MARKERS, 90)), PAINT)
-    assert found.floor == pytest.approx(MODEL.floor / LIT)
+    assert found.floor == pytest.approx(MODEL.floor / SETTINGS.lit)

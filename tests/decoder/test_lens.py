@@ -9,7 +9,6 @@ import pytest
 from phytac_decoder.camera.camera import Camera, fit_distance_mm
 from phytac_decoder.camera.lens import (
     LENSES,
-    SLOPE_MIN,
     BrownConrady,
     KannalaBrandt,
     Lens,
@@ -153,7 +152,7 @@ def test_a_barrel_lens_ends_where_its_polynomial_turns() -> None:
     # In angle: d/dθ of m + k1 m³ with m = tan θ is (1 + 3 k1 m²)(1 + m²).
     m2 = np.square(np.tan(lens.field_rad))
     speed = (1.0 + 3.0 * k1 * m2) * (1.0 + m2)
-    assert SLOPE_MIN <= speed < SLOPE_MIN + 0.01
+    assert Lens.slope_min <= speed < Lens.slope_min + 0.01
     assert np.isnan(lens.unproject(np.array([[SIZE["cx_px"] + 2000.0, SIZE["cy_px"]]]))).all()
 
 
@@ -162,7 +161,7 @@ def test_an_omnidirectional_lens_ends_where_its_sphere_turns() -> None:
     xi = 1.2
     cosine = np.cos(Omnidirectional(**SIZE, distortion=(xi,)).field_rad)
     speed = (1.0 + xi) * (1.0 + xi * cosine) / (cosine + xi) ** 2
-    assert SLOPE_MIN <= speed < SLOPE_MIN + 0.02
+    assert Lens.slope_min <= speed < Lens.slope_min + 0.02
 
 
 def test_poles() -> None:

@@ -314,7 +314,7 @@ class FakeCamera:
 def cameras(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[FakeCamera]]:
     FakeCamera.made = []
     monkeypatch.setattr(live_camera.cv2, "VideoCapture", FakeCamera)
-    monkeypatch.setattr(live_camera, "SILENT_S", 0.3)
+    monkeypatch.setattr(live_camera.CameraSource, "silent_s", 0.3)
     yield FakeCamera.made
     assert all(camera.released for camera in FakeCamera.made)
 

@@ -6,8 +6,6 @@ import pytest
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.torn_frames import (
-    FRAMES_CHANGED_MIN,
-    BAND_px,
     TornFrameDetector,
     with_torn_frame_check,
 )
@@ -29,9 +27,9 @@ def noisy(seed: int, *, dark: slice | None = None) -> ImageArray:
 def warmed(dark: slice | None = None) -> tuple[TornFrameDetector, ImageArray]:
     """One who has seen enough frames, and the last of them."""
     tears = TornFrameDetector()
-    for seed in range(FRAMES_CHANGED_MIN + 1):
+    for seed in range(TornFrameDetector.frames_changed_min + 1):
         assert tears.check([noisy(seed, dark=dark)]) == []
-    return tears, noisy(FRAMES_CHANGED_MIN, dark=dark)
+    return tears, noisy(TornFrameDetector.frames_changed_min, dark=dark)
 
 
 def torn(seed: int, old: ImageArray, part: slice) -> ImageArray:
@@ -86,9 +84,11 @@ def test_rows_that_are_old_here_and_there_are_no_tear() -> None:
 
 def test_each_camera_is_checked_and_a_new_size_restarts() -> None:
     tears = TornFrameDetector()
-    for seed in range(FRAMES_CHANGED_MIN + 1):
+    for seed in range(TornFrameDetector.frames_changed_min + 1):
         assert tears.check([noisy(seed), noisy(50 + seed)]) == []
-    (text,) = tears.check([noisy(9), torn(60, noisy(50 + FRAMES_CHANGED_MIN), slice(0, 48))])
+    (text,) = tears.check(
+        [noisy(9), torn(60, noisy(50 + TornFrameDetector.frames_changed_min), slice(0, 48))]
+    )
     assert "upper" in text
     small = noisy(9)[:50, :60]
     assert tears.check([small, small]) == []
@@ -97,7 +97,7 @@ def test_each_camera_is_checked_and_a_new_size_restarts() -> None:
 
 def test_a_camera_that_uses_its_buffer_again_is_seen_through() -> None:
     tears, buffer = TornFrameDetector(), noisy(0)
-    for seed in range(FRAMES_CHANGED_MIN + 1):
+    for seed in range(TornFrameDetector.frames_changed_min + 1):
         buffer[:] = noisy(seed)
         assert tears.check([buffer]) == []
     # And for as long as it stands still.
@@ -108,23 +108,25 @@ def test_a_camera_that_uses_its_buffer_again_is_seen_through() -> None:
 def test_a_single_change_is_no_noise() -> None:
     """A press that is drawn without noise changes rows, and they stand still after it."""
     tears = TornFrameDetector()
-    for number in range(FRAMES_CHANGED_MIN):
+    for number in range(TornFrameDetector.frames_changed_min):
         assert tears.check([noisy(number)]) == []
-    assert tears.check([noisy(FRAMES_CHANGED_MIN - 1)]) == []
+    assert tears.check([noisy(TornFrameDetector.frames_changed_min - 1)]) == []
     # Rows that stood still start again: noise does not pause.
-    for number in range(1, FRAMES_CHANGED_MIN):
+    for number in range(1, TornFrameDetector.frames_changed_min):
         assert tears.check([noisy(10 * number)]) == []
-    assert tears.check([noisy(10 * (FRAMES_CHANGED_MIN - 1))]) == []
+    assert tears.check([noisy(10 * (TornFrameDetector.frames_changed_min - 1))]) == []
 
 
 def test_only_the_band_is_read_of_wide_pictures() -> None:
-    wide = np.zeros((40, 4 * BAND_px, 3), dtype=np.uint8)
+    wide = np.zeros((40, 4 * TornFrameDetector.band_px, 3), dtype=np.uint8)
     tears = TornFrameDetector()
     rng = np.random.default_rng(0)
-    for _ in range(FRAMES_CHANGED_MIN + 1):
-        wide[:, 3 * BAND_px // 4 : 7 * BAND_px // 4] = rng.integers(0, 99, (40, BAND_px, 3))
+    for _ in range(TornFrameDetector.frames_changed_min + 1):
+        wide[:, 3 * TornFrameDetector.band_px // 4 : 7 * TornFrameDetector.band_px // 4] = (
+            rng.integers(0, 99, (40, TornFrameDetector.band_px, 3))
+        )
         assert tears.check([wide]) == []
-    wide[:, : BAND_px // 2] = 7
+    wide[:, : TornFrameDetector.band_px // 2] = 7
     assert "stopped" in tears.check([wide])[0]
 
 
@@ -144,9 +146,9 @@ def test_a_checked_decoder_adds_the_warning() -> None:
     # One that cannot be decoded is looked at all the same.
     with pytest.raises(InputError, match="black"):
         reader(frame(1, noisy(1)))
-    for number in range(2, FRAMES_CHANGED_MIN + 1):
+    for number in range(2, TornFrameDetector.frames_changed_min + 1):
         assert reader(frame(number, noisy(number))).warnings == ["dark"]
-    last = torn(99, noisy(FRAMES_CHANGED_MIN), slice(48, None))
-    dark, text = reader(frame(FRAMES_CHANGED_MIN + 1, last)).warnings
+    last = torn(99, noisy(TornFrameDetector.frames_changed_min), slice(48, None))
+    dark, text = reader(frame(TornFrameDetector.frames_changed_min + 1, last)).warnings
     assert dark == "dark"
     assert "it is torn" in text

@@ -17,10 +17,6 @@ from phytac_decoder.camera.distortion import distort, distort_jacobian, undistor
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
 
-SLOPE_MIN = 0.02
-"""The field ends where a direction's image moves less than this share of its speed on the axis."""
-RADIAL = np.array([1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
-"""Which coefficients of the plane's distortion are radial."""
 ROUNDING = 1e-12
 """Relative rounding error: of the rim of the field, and of the distance of points on the axis."""
 
@@ -53,6 +49,9 @@ class Lens(ABC):
     """Name in design files and bundles."""
     counts: ClassVar[tuple[int, ...]]
     """Numbers of distortion coefficients that the model may have."""
+    slope_min: ClassVar[float] = 0.02
+    """The field ends where a direction's image moves less than this share of its speed on the
+    axis."""
     limit_rad: ClassVar[float]
     """No direction farther than this from the axis can be seen, whatever the coefficients."""
 
@@ -113,11 +112,12 @@ class Lens(ABC):
         """Angles (m,) of the field, radius on the plane, and distorted radius, all rising."""
         theta = np.linspace(0.0, self.limit_rad, 4097)
         k = self.plane_coefficients
+        radial_k = k * np.array([1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             radius, slope = self.radius(theta)
             radial, stretch = _least_stretch(radius, k)
-            bent = distort(np.column_stack([radius, np.zeros_like(radius)]), k * RADIAL)[:, 0]
-            good = (slope * radial >= SLOPE_MIN * slope[0]) & (slope > 0.0) & (stretch > 0.0)
+            bent = distort(np.column_stack([radius, np.zeros_like(radius)]), radial_k)[:, 0]
+            good = (slope * radial >= self.slope_min * slope[0]) & (slope > 0.0) & (stretch > 0.0)
             good &= np.isfinite(radius * bent)
             good[1:] &= np.diff(bent) > 0.0
         end = len(theta) if good.all() else int(good.argmin())

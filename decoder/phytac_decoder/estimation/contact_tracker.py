@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import dist
+from math import dist, hypot
 
 import cv2
 import numpy as np
@@ -22,14 +22,14 @@ class TrackingSettings:
     """A contact that is missing for more frames, or for longer, has ended."""
     velocity_kept: float = 0.5
     """Share of the former velocity in the exponential average."""
+    unpaired_cost: float = 1e4
+    """Cost of a pair that must not be matched: above all distances in mm, far from the limits of
+    float32."""
     merged_max: int = 8
     """Largest number of contacts merged into one."""
 
 
 SETTINGS = TrackingSettings()
-ZERO_VELOCITY: Place = (0.0, 0.0, 0.0)
-UNPAIRED_COST = 1e4
-"""Cost of a pair that must not be matched: above all distances in mm, far from float32's limit."""
 
 
 @dataclass(kw_only=True)
@@ -46,15 +46,15 @@ class _Track:
     place: Place
     size_mm: float
     markers: frozenset[int]
-    velocity_mm_s: Place = ZERO_VELOCITY
+    velocity_mm_s: Place = (0.0, 0.0, 0.0)
     absent: int = 0
     inside: "list[_Track]" = field(default_factory=list)
-    merged_at: Place = ZERO_VELOCITY
+    merged_at: Place = (0.0, 0.0, 0.0)
 
     def predicted(self, time_s: float, distance_max_mm: float) -> Place:
         """Return the place at constant velocity, at most so far from the last one."""
         step = max(time_s - self.seen_s, 0.0)
-        far = step * dist(self.velocity_mm_s, ZERO_VELOCITY)
+        far = step * hypot(*self.velocity_mm_s)
         step *= min(1.0, distance_max_mm / far) if far else 1.0
         x, y, z = (p + step * v for p, v in zip(self.place, self.velocity_mm_s, strict=True))
         return x, y, z
@@ -71,7 +71,7 @@ class _Track:
             )
             self.velocity_mm_s = (x, y, z)
         elif step:
-            self.velocity_mm_s = ZERO_VELOCITY
+            self.velocity_mm_s = (0.0, 0.0, 0.0)
         self.seen_s, self.absent = time_s, 0
         self.place, self.size_mm = contact.position_mm, contact.size_mm
         self.markers = frozenset(contact.markers)
@@ -161,7 +161,11 @@ class ContactTracker:
             ]
         )
         pairs = match_pairs(cost)
-        return {column: tracks[row] for row, column in pairs if cost[row, column] < UNPAIRED_COST}
+        return {
+            column: tracks[row]
+            for row, column in pairs
+            if cost[row, column] < SETTINGS.unpaired_cost
+        }
 
     def _cost(self, track: _Track, predicted: Place, contact: Contact) -> float:
         """Return the distance of a contact from a prediction, less a bonus for shared markers."""
@@ -169,7 +173,7 @@ class ContactTracker:
         shared = len(track.markers.intersection(contact.markers))
         gate = SETTINGS.gate_spacings * self.spacing_mm + 0.5 * max(track.size_mm, contact.size_mm)
         if not shared and distance > gate:
-            return UNPAIRED_COST
+            return SETTINGS.unpaired_cost
         # An unswitched contact has no markers.
         return distance - self.spacing_mm * shared / max(len(track.markers), 1)
 
@@ -204,7 +208,7 @@ class ContactTracker:
         """Return whether a contact was a part of a track in the frame before."""
         if contact.markers:
             return not track.markers.isdisjoint(contact.markers)
-        return self._cost(track, track.place, contact) < UNPAIRED_COST
+        return self._cost(track, track.place, contact) < SETTINGS.unpaired_cost
 
     def _restore_last(
         self, found: dict[int, _Track], row: int, track: _Track, contact: Contact
@@ -219,8 +223,8 @@ class ContactTracker:
     def _merge(self, host: _Track, guest: _Track, contact: Contact) -> None:
         """Note that two contacts are now one."""
         if not host.inside:
-            host.inside = [replace(host, inside=[], velocity_mm_s=ZERO_VELOCITY)]
-        host.inside += guest.inside or [replace(guest, velocity_mm_s=ZERO_VELOCITY)]
+            host.inside = [replace(host, inside=[], velocity_mm_s=(0.0, 0.0, 0.0))]
+        host.inside += guest.inside or [replace(guest, velocity_mm_s=(0.0, 0.0, 0.0))]
         # Repeated taps next to a resting hand merge each time: the oldest are dropped.
         del host.inside[1 : len(host.inside) - SETTINGS.merged_max + 1]
         host.merged_at = contact.position_mm

@@ -13,11 +13,9 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import read_text, toml_table
 from phytac_shapes.errors import InputError, cause_of
 
-REGIONS_MAX = 64
-NAME_MAX = 40
-"""Largest number of letters in a region's name."""
+REGIONS_MAX, NAME_MAX = 64, 40
+"""Largest number of regions, and of letters in a region's name."""
 SELECTORS = ("markers", "rows", "columns", "along", "around", "point_mm")
-KEYS = ("name", *SELECTORS, "radius_mm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,11 +203,12 @@ def _read(path: Path) -> dict[str, Any]:
 def _name(table: object, where: str) -> str:
     if not isinstance(table, dict):
         raise InputError("region-not-table", f"{where}: a region is a table (got {_short(table)})")
-    unknown = sorted(set(table) - set(KEYS))
+    keys = ("name", *SELECTORS, "radius_mm")
+    unknown = sorted(set(table) - set(keys))
     if unknown:
         raise InputError(
             "region-unknown-key",
-            f"{where}: unknown key {_short(unknown[0])}; known: {', '.join(KEYS)}",
+            f"{where}: unknown key {_short(unknown[0])}; known: {', '.join(keys)}",
         )
     name = table.get("name")
     if not isinstance(name, str) or not 1 <= len(name) <= NAME_MAX or not name.isprintable():

@@ -74,7 +74,6 @@ class LocatorSettings:
 
 
 SETTINGS = LocatorSettings()
-NO_MARKERS: IntArray = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +108,7 @@ class ContactLocator:
     prior: ContactPrior
     noise: ShiftNoise
     correction: ForceCorrection | None = None
-    blind: IntArray = field(default_factory=lambda: NO_MARKERS)
+    blind: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def linear(self) -> "ContactLocator":
@@ -225,7 +224,7 @@ class ContactLocator:
         force = self._switch_forces(replace(seen, koi=both))
         pressed = ~np.isin(both, seen.koi) & (force >= self.threshold_N[both])
         parts = self._parts(both, force, np.flatnonzero(pressed), self._reach_mm)
-        return [replace(self._start(both, force, rows), markers=NO_MARKERS) for rows in parts]
+        return [replace(self._start(both, force, rows), markers=seen.koi[:0]) for rows in parts]
 
     def _add_unswitched(self, best: ContactFit, seen: ShiftObservation) -> ContactFit:
         """Add contacts that no switch shows, as long as the fit improves."""

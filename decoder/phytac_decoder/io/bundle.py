@@ -40,11 +40,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA = (1, 11)
-FORMAT = "phytac-decoder-bundle"
-META_BYTES_MAX = 1 << 26
-ARRAYS_BYTES_MAX = 1 << 33
-"""Largest files of a bundle that are read; the bundle of a thousand markers has about 100 MB."""
+SCHEMA, FORMAT = (1, 11), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -234,6 +230,8 @@ def _sha256(folder: Path) -> str:
 def load_bundle(folder: Path) -> Bundle:
     """Read a bundle; check its version, its sizes and that every number is finite.
 
+    Files above 64 MiB (JSON) and 8 GiB are rejected; that of a thousand markers has about 100 MB.
+
     Raises
     ------
     InputError
@@ -242,7 +240,7 @@ def load_bundle(folder: Path) -> Bundle:
     """
     meta = _read_meta(folder)
     try:
-        check_file(folder / "bundle.safetensors", bytes_max=ARRAYS_BYTES_MAX)
+        check_file(folder / "bundle.safetensors", bytes_max=1 << 33)
         arrays = load_file(folder / "bundle.safetensors")
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
@@ -270,7 +268,7 @@ def load_bundle(folder: Path) -> Bundle:
 def _read_meta(folder: Path) -> dict[str, Any]:
     path = folder / "bundle.json"
     try:
-        meta = json.loads(read_text(path, bytes_max=META_BYTES_MAX), parse_constant=reject_constant)
+        meta = json.loads(read_text(path, bytes_max=1 << 26), parse_constant=reject_constant)
     except OSError as error:
         raise InputError(
             "bundle-not-found",

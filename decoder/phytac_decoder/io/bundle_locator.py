@@ -18,8 +18,7 @@ from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
 PREFIX, PAIR, WALL, RATIO = "places.", "pair_", "wall_", "noise_ratio"
-FRAME = ("point_mm", "along", "around")
-PLACES_MIN = 4
+FRAME, PLACES_MIN = ("point_mm", "along", "around"), 4
 SHAPES: dict[str, tuple[int | str, ...]] = {
     **dict.fromkeys(FRAME, ("places", 3)),
     "shift_px": ("places", "orders", "2n"),

@@ -11,9 +11,6 @@ import numpy as np
 from phytac_decoder.io.frame import Frame, Source
 from phytac_shapes.errors import InputError
 
-SILENT_S = 5.0
-"""A camera that gives no frame for this long is disconnected."""
-
 
 class CameraSource(Source):
     """A camera, or two that are read together; always the newest frame.
@@ -41,6 +38,8 @@ class CameraSource(Source):
 
     live = True
     clock = "seconds since the stream began"
+    silent_s = 5.0
+    """A camera that gives no frame for this long is disconnected."""
 
     def __init__(
         self,
@@ -86,14 +85,14 @@ class CameraSource(Source):
     def __iter__(self) -> Iterator[Frame]:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._slot or self._stop, timeout=SILENT_S)
+                self._news.wait_for(lambda: self._slot or self._stop, timeout=self.silent_s)
                 frame, self._slot = self._slot, None
             if frame is None:
                 if self._stop:
                     return
                 raise InputError(
                     "camera-silent",
-                    f"{self.description} has given no frame for {SILENT_S:g} s; plug it in",
+                    f"{self.description} has given no frame for {self.silent_s:g} s; plug it in",
                 )
             yield frame
 

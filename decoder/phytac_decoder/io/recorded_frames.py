@@ -13,8 +13,6 @@ from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-STAMP_NS = re.compile(r"\d{16,19}")
-STAMP_S = re.compile(r"\d+\.\d+")
 
 
 class ImageSequence(ABC):
@@ -95,14 +93,8 @@ class ImageFolder(ImageSequence):
                 f"{where} holds no image (got none of {', '.join(SUFFIXES)}); give the folder of "
                 "the frames themselves, or a video",
             )
-        stems = [item.stem for item in files]
-        self.stamped = True
-        if all(STAMP_S.fullmatch(stem) for stem in stems):
-            times = [float(stem) for stem in stems]
-        elif all(STAMP_NS.fullmatch(stem) for stem in stems):
-            times = [int(stem) / 10**9 for stem in stems]
-        else:
-            times, self.stamped = [0.0] * len(files), False
+        stamps = times_in_names([item.stem for item in files])
+        self.stamped, times = stamps is not None, stamps or [0.0] * len(files)
         order = sorted(range(len(files)), key=lambda i: (times[i], _natural(files[i].name)))
         self._files = [files[i] for i in order]
         self._times = [times[i] for i in order]
@@ -294,6 +286,15 @@ def comparable(near: ImageSequence, far: ImageSequence) -> bool:
     firsts, lasts = zip(near.span_s, far.span_s, strict=True)
     shorter = min(last - first for first, last in (near.span_s, far.span_s))
     return min(lasts) - max(firsts) >= 0.5 * shorter
+
+
+def times_in_names(stems: Sequence[str]) -> list[float] | None:
+    """Times, s, if all names are seconds with decimals, or nanoseconds as ROS exports them."""
+    if all(re.fullmatch(r"\d+\.\d+", stem) for stem in stems):
+        return [float(stem) for stem in stems]
+    if all(re.fullmatch(r"\d{16,19}", stem) for stem in stems):
+        return [int(stem) / 10**9 for stem in stems]
+    return None
 
 
 def read_image(path: Path) -> ImageArray:

@@ -17,6 +17,7 @@ so that one table serves discs, spheres and edges of any size and orientation (d
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import factorial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,15 +29,13 @@ if TYPE_CHECKING:
     from phytac_decoder.mechanics.interaction_table import InteractionTable
     from phytac_decoder.mechanics.membrane_stretching import BergerWall
 
-FIT_PLACES = 20
-"""Number of places that a cubic is fitted to: twice its ten coefficients."""
 TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 """Powers of x and y of the cubic."""
-FACTORIALS = (1.0, 1.0, 2.0, 6.0)
-FLAT_COSINE_DROP = 1e-4
-"""Largest 1 - cos of the angle between normals on a flat wall: 0.8°."""
-FLATNESS_NEIGHBOURS = 8
-"""Number of places whose normals are compared."""
+FIT_PLACES = 20
+"""Number of places that a cubic is fitted to: twice its coefficients."""
+FLAT_COSINE_DROP, FLATNESS_NEIGHBOURS = 1e-4, 8
+"""Largest 1 - cos of the angle between normals on a flat wall (0.8°); number of places whose
+normals are compared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,7 +174,7 @@ class ResponseTable:
         # The farthest place has the weight exp(-4).
         weight = np.where(far, 0.0, np.exp(-4.0 * np.sum(xy**2, axis=2)))
         fit = np.linalg.pinv(weight[:, :, None] * basis, rcond=1e-8) * weight[:, None]
-        scale = np.array([FACTORIALS[a] * FACTORIALS[b] for a, b in TERMS])
+        scale = np.array([float(factorial(a) * factorial(b)) for a, b in TERMS])
         powers = size[:, None] ** np.array([a + b for a, b in TERMS])
         return near, fit * (scale / powers)[:, :, None]
 

@@ -16,10 +16,6 @@ from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, chec
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
-LIT = 0.88
-"""Share of its full chroma that paint shows with the light's fall-off: the floor is a share of what
-is measured instead."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ColourSettings:
@@ -27,6 +23,9 @@ class ColourSettings:
 
     Attributes
     ----------
+    lit : float
+        Share of its full chroma that paint shows with the light's fall-off: the floor is a share of
+        what is measured instead.
     across : int
         Samples across the window of each marker.
     half_px : (float, float)
@@ -54,6 +53,7 @@ class ColourSettings:
         Largest share of all samples that may be of one marker's paint, and of the tips'.
     """
 
+    lit: float = 0.88
     across: int = 21
     half_px: tuple[float, float] = (3.0, 60.0)
     half_share: float = 0.6
@@ -242,7 +242,7 @@ def _floor(model: ColourModel, chroma: FloatArray, seen: IntArray) -> float:
     def painted(floor: float) -> FloatArray:
         return np.bincount(best[share >= floor], minlength=len(full)) / len(off)
 
-    lowest = model.floor / LIT
+    lowest = model.floor / SETTINGS.lit
     most = np.where(np.isin(np.arange(len(full)), seen), SETTINGS.paint_max, SETTINGS.tip_max)
     for floor in np.arange(lowest, SETTINGS.floor_max, SETTINGS.floor_step):
         steady = SETTINGS.growth * painted(floor + SETTINGS.floor_above) + SETTINGS.growth_anyway

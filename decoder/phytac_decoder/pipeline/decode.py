@@ -15,17 +15,9 @@ from phytac_decoder.vision.switch_detection import read_switches
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
-FOUND_MIN = 0.5
-"""A frame that shows fewer than this fraction of the markers is rejected."""
-FOUND_WELL = 0.95
-"""Below this fraction of markers found, forces are returned with a warning."""
-BLOBS_MAX = 8.0
-"""A frame with more coloured blobs than this per marker is not a frame of the sensor."""
-CAMERA_SHIFT_MAX_px = 0.75
-"""A larger median shift of a camera's markers means that the camera has moved, not the shell."""
-
-WITHOUT_STIFFNESS = ("koi_inverse", "auto")
-"""Estimators that do not use K·u."""
+FOUND_MIN, FOUND_WELL = 0.5, 0.95
+"""A frame that shows fewer than the first of these fractions of the markers is rejected; below the
+second, forces are returned with a warning."""
 
 Frames = ImageArray | Sequence[ImageArray]
 """A frame of each camera, in the bundle's order; one camera's may stand alone."""
@@ -96,7 +88,7 @@ class FrameMeasurement:
         if not shifted:
             out += self._motion_faults(bundle, forces_N, found)
         useless = self.koi[~bundle.stiffness_usable[self.koi]]
-        if len(useless) and estimator not in WITHOUT_STIFFNESS:
+        if len(useless) and estimator not in {"koi_inverse", "auto"}:
             out.append(
                 f"fem, fem_nn and fem_nn_identity cannot be used on {len(useless)} switched "
                 f"receptors ({id_list(useless)}): noise of their K·u exceeds any force there; use "
@@ -108,11 +100,11 @@ class FrameMeasurement:
 
     def _shifted_images(self, bundle: Bundle) -> list[str]:
         """Cameras whose markers have all shifted."""
-        out = []
+        out, shift_max_px = [], 0.75  # a larger median shift is the camera's, not the shell's
         for number in range(len(bundle.cameras)):
             own = (bundle.read_by == number) & self.found & np.isfinite(self.shift_px[:, 0])
             x, y = np.median(self.shift_px[own], axis=0) if own.any() else (0.0, 0.0)
-            if np.hypot(x, y) > CAMERA_SHIFT_MAX_px:
+            if np.hypot(x, y) > shift_max_px:
                 out.append(
                     f"the whole image{bundle.of_camera(number)} has shifted by ({x:.1f}, {y:.1f}) "
                     "px: the camera has moved; take a new rest frame"
@@ -203,7 +195,8 @@ def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Match
     camera, shown = bundle.cameras[number], bundle.shown_by(number)
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
     blobs = segment(image_bgr, bundle.colours)
-    if len(blobs.colour) > BLOBS_MAX * len(bundle.colour):
+    blobs_max = 8.0  # per marker, of a frame of the sensor
+    if len(blobs.colour) > blobs_max * len(bundle.colour):
         raise InputError(
             "blobs-too-many",
             f"the image{bundle.of_camera(number)} shows {len(blobs.colour)} coloured blobs for "

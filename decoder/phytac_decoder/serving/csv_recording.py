@@ -14,8 +14,6 @@ COLUMNS = (
     "sequence", "timestamp_s", "valid", "contacts", "contact", "force_N", "x_mm", "y_mm", "z_mm",
     "markers", "id", "size_mm", "since_s", "region", "sd_N",
 )  # fmt: skip
-REGION_COLUMNS = ("sequence", "timestamp_s", "valid", "total_N")
-"""Before one column for each region, ``region_NAME_N``."""
 
 
 class _CsvWriter:
@@ -114,7 +112,7 @@ class RegionRecorder(_CsvWriter):
     """One row for each frame: the force of every region, by the regions' names."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        columns = [*REGION_COLUMNS, *(f"region_{name}_N" for name in names)]
+        columns = [*COLUMNS[:3], "total_N", *(f"region_{name}_N" for name in names)]
         super().__init__(path, columns, "--record-regions")
 
     def add(self, message: Message) -> None:

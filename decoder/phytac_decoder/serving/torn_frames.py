@@ -14,13 +14,6 @@ from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.sensor_loop import Decode
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
-ROWS_COMPARED, BAND_px = 32, 640
-"""Rows of an image that are compared, evenly spaced, and the pixels of each."""
-CHANGED_SHARE_MIN = 0.2
-"""Least share of a row's bytes that noise changes from frame to frame."""
-FRAMES_CHANGED_MIN = 3
-"""Only rows that have changed in so many sound frames in a row are evaluated."""
-
 
 class TornFrameDetector:
     """Compares each frame of a sequence with the one before.
@@ -28,6 +21,13 @@ class TornFrameDetector:
     Rows without noise, as in drawings, black borders and still parts of compressed videos, are not
     evaluated.
     """
+
+    rows_compared, band_px = 32, 640
+    """Rows of an image that are compared, evenly spaced, and the pixels of each."""
+    changed_share_min = 0.2
+    """Least share of a row's bytes that noise changes from frame to frame."""
+    frames_changed_min = 3
+    """Only rows that have changed in so many sound frames in a row are evaluated."""
 
     def __init__(self) -> None:
         self._last: list[ImageArray] = []
@@ -42,11 +42,11 @@ class TornFrameDetector:
         out = []
         for number, (now, before) in enumerate(zip(rows, self._last, strict=True)):
             share, streak = _changed(now, before), self._streak[number]
-            text = _verdict(share[streak >= FRAMES_CHANGED_MIN])
+            text = _verdict(share[streak >= self.frames_changed_min])
             if text:
                 out.append(text)
             else:
-                self._streak[number] = np.where(share >= CHANGED_SHARE_MIN, streak + 1, 0)
+                self._streak[number] = np.where(share >= self.changed_share_min, streak + 1, 0)
         self._last = rows
         return out
 
@@ -65,9 +65,10 @@ def with_torn_frame_check(decode: Decode) -> Decode:
 
 def _rows_of(image: ImageArray) -> ImageArray:
     """Parts of some of an image's rows, copied because cameras may reuse their buffers."""
-    index = np.unique(np.linspace(0, len(image) - 1, ROWS_COMPARED).astype(np.int64))
-    first = max(image.shape[1] - BAND_px, 0) // 4
-    return np.asarray(image[index, first : first + BAND_px])
+    rows, band_px = TornFrameDetector.rows_compared, TornFrameDetector.band_px
+    index = np.unique(np.linspace(0, len(image) - 1, rows).astype(np.int64))
+    first = max(image.shape[1] - band_px, 0) // 4
+    return np.asarray(image[index, first : first + band_px])
 
 
 def _changed(rows: ImageArray, before: ImageArray) -> FloatArray:
@@ -79,7 +80,7 @@ def _changed(rows: ImageArray, before: ImageArray) -> FloatArray:
 
 def _verdict(share: FloatArray) -> str:
     """Fault by the changed share (r,) of rows that used to change; "" for none."""
-    old, new = share == 0.0, share >= CHANGED_SHARE_MIN
+    old, new = share == 0.0, share >= TornFrameDetector.changed_share_min
     if not old.any():
         return ""
     if old.all():

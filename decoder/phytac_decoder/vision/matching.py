@@ -81,9 +81,21 @@ def match_markers(
     neighbours : (n, 8) int
         Neighbour ids, -1 beyond a rim.
     """
-    shown = np.isfinite(rest_px).all(axis=1)
-    if not shown.all():
-        return _match_some(blobs, np.flatnonzero(shown), rest_px, colour, neighbours)
+    ids = np.flatnonzero(np.isfinite(rest_px).all(axis=1))
+    position, merged = np.full_like(rest_px, np.nan), np.zeros(len(rest_px), dtype=np.bool_)
+    if len(ids):
+        # One more entry, for the neighbour -1.
+        number = np.full(len(rest_px) + 1, -1, dtype=np.int64)
+        number[ids] = np.arange(len(ids))
+        near = number[neighbours[ids]]
+        position[ids], merged[ids] = _match_shown(blobs, rest_px[ids], colour[ids], near)
+    return Matched(position_px=position, found=np.isfinite(position[:, 0]), merged=merged)
+
+
+def _match_shown(
+    blobs: Blobs, rest_px: FloatArray, colour: IntArray, neighbours: IntArray
+) -> tuple[FloatArray, BoolArray]:
+    """Positions (n, 2) of markers that are all shown, NaN where not found, and merged ones."""
     gate = 0.6 * np.minimum(nearest_same_colour_px(rest_px, colour), 200.0)
     medoid = rest_px.copy()
     position, owner = np.full_like(rest_px, np.nan), np.full(len(blobs.colour), -1)
@@ -96,28 +108,7 @@ def match_markers(
         own = np.isfinite(motion[:, 0])
         shift[own] = (shift[own] + motion[own]) / 2.0
         medoid = rest_px + shift
-    found = np.isfinite(position[:, 0])
-    merged = _merged(blobs, owner, medoid, colour, found)
-    return Matched(position_px=position, found=found, merged=merged)
-
-
-def _match_some(
-    blobs: Blobs, ids: IntArray, rest_px: FloatArray, colour: IntArray, neighbours: IntArray
-) -> Matched:
-    """Match markers ``ids`` (m,) alone; all others are not found."""
-    position, merged = np.full_like(rest_px, np.nan), np.zeros(len(rest_px), dtype=np.bool_)
-    if len(ids):
-        # One more entry, for the neighbour -1.
-        number = np.full(len(rest_px) + 1, -1, dtype=np.int64)
-        number[ids] = np.arange(len(ids))
-        some = match_markers(
-            blobs,
-            rest_px=rest_px[ids],
-            colour=colour[ids],
-            neighbours=number[neighbours[ids]],
-        )
-        position[ids], merged[ids] = some.position_px, some.merged
-    return Matched(position_px=position, found=np.isfinite(position[:, 0]), merged=merged)
+    return position, _merged(blobs, owner, medoid, colour, np.isfinite(position[:, 0]))
 
 
 def _owners(blobs: Blobs, medoid: FloatArray, colour: IntArray, gate: FloatArray) -> IntArray:

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from phytac_decoder.io.recorded_frames import STAMP_NS, STAMP_S, SUFFIXES, read_image
+from phytac_decoder.io.recorded_frames import SUFFIXES, read_image, times_in_names
 from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
@@ -70,7 +70,10 @@ class FrameFolder(FrameSource):
             )
         self.files = sorted(files, key=lambda item: (_trailing(item.stem), item.name))
         self.names = tuple(item.name for item in self.files)
-        self.time_s = _times(tuple(item.stem for item in self.files), fps)
+        times = times_in_names([item.stem for item in self.files])
+        if times is None and fps:
+            times = [number / fps for number in range(len(files))]
+        self.time_s = None if times is None else np.array(times)
         self._known: dict[str, int | None] = {}
         for kind in (
             self.names,
@@ -169,14 +172,6 @@ def open_source(where: Path, *, fps: float | None) -> FrameSource:
 def _trailing(stem: str) -> int:
     found = NUMBER.search(stem)
     return int(found[1]) if found else -1
-
-
-def _times(stems: tuple[str, ...], fps: float | None) -> FloatArray | None:
-    if all(STAMP_S.fullmatch(stem) for stem in stems):
-        return np.array([float(stem) for stem in stems])
-    if all(STAMP_NS.fullmatch(stem) for stem in stems):
-        return np.array([int(stem) / 10**9 for stem in stems])
-    return np.arange(len(stems)) / fps if fps else None
 
 
 def match_frames(

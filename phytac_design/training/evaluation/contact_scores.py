@@ -11,8 +11,6 @@ import numpy as np
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 RESAMPLES, LEVEL = 1000, 0.95
-TOGETHER = 2_000_000
-"""Numbers in memory at once while medians are resampled."""
 METRICS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "relative_error": lambda m: m[0],
     "accuracy": lambda m: 1.0 - m[0],
@@ -73,11 +71,14 @@ class Bootstrap:
         Seed of the draws.
     resamples : int
         Draws, with replacement, of as many samples as there are.
+    together : int
+        Numbers in memory at once while medians are resampled.
     """
 
     sample: IntArray
     seed: int
     resamples: int = RESAMPLES
+    together: int = 2_000_000
 
     @cached_property
     def groups(self) -> tuple[int, IntArray]:
@@ -139,7 +140,7 @@ class Bootstrap:
         """Yield medians of the resamples, some at a time."""
         order = np.argsort(values)
         ordered, owner = values[order], member[order]
-        step = max(TOGETHER // len(values), 1)
+        step = max(self.together // len(values), 1)
         chosen = self.weights[some]
         for first in range(0, len(chosen), step):
             below = np.cumsum(chosen[first : first + step][:, owner], axis=1)

@@ -10,7 +10,6 @@ from phytac_design.training.evaluation.decoded_contacts import DecodedContacts
 
 PAINT = ("#7a7a7a", "#1b6ca8", "#6fb1dd", "#e08a1e", "#b03060", "#2e8b57")
 """One colour for each estimator, distinct also in grey and for the colour-blind."""
-GREYS = ("#2b2b2b", "#6b6b6b", "#a3a3a3", "#d2d2d2")
 
 
 def draw(facts: Mapping[str, Any], decoded: DecodedContacts) -> dict[str, bytes]:
@@ -69,7 +68,7 @@ def accuracy(facts: Mapping[str, Any]) -> bytes:
             0.92 * width,
             yerr=reach,
             label="all contacts" if section == "all" else group,
-            color=GREYS[number],
+            color=("#2b2b2b", "#6b6b6b", "#a3a3a3", "#d2d2d2")[number],
             error_kw={"linewidth": 0.9, "capsize": 2, "ecolor": "#d00000"},
         )
     axes.set_ylabel("accuracy (%)")

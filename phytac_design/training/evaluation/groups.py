@@ -18,8 +18,6 @@ from phytac_shapes.errors import InputError
 
 FORCE_EDGES_N = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, np.inf)
 """The paper distinguishes 0.5 to 25 N and below 5 N; the other ranges are ours."""
-SMALL_N = 5.0
-HEIGHTS, SIDES = 10, 8
 KINDS = ("single", "several", "grip")
 
 Groups = dict[str, dict[str, BoolArray]]
@@ -96,23 +94,24 @@ def groups_of(
     out: Groups = {
         "all": {"all": on},
         "contact": {name: kind == k for k, name in enumerate(KINDS)},
-        "small": {f"below {SMALL_N:g} N": force < SMALL_N, f"from {SMALL_N:g} N": force >= SMALL_N},
+        "small": {"below 5 N": force < 5.0, "from 5 N": force >= 5.0},
         "force": {_range(a, b): (force >= a) & (force < b) for a, b in pairwise(FORCE_EDGES_N)},
     }
     if where is not None:
+        heights, sides = 10, 8
         middle = (where.along >= MIDDLE[0]) & (where.along <= MIDDLE[1])
-        tenth = np.clip((where.along * HEIGHTS).astype(np.int64), 0, HEIGHTS - 1)
-        side = np.clip((where.around * SIDES).astype(np.int64), 0, SIDES - 1)
+        tenth = np.clip((where.along * heights).astype(np.int64), 0, heights - 1)
+        side = np.clip((where.around * sides).astype(np.int64), 0, sides - 1)
         out["height"] = {
             f"middle, {100 * MIDDLE[0]:g} to {100 * MIDDLE[1]:g} %": middle,
             "towards the rims": ~middle,
         }
         out["along"] = {
-            f"{100 * k // HEIGHTS} to {100 * (k + 1) // HEIGHTS} %": tenth == k
-            for k in range(HEIGHTS)
+            f"{100 * k // heights} to {100 * (k + 1) // heights} %": tenth == k
+            for k in range(heights)
         }
         out["around"] = {
-            f"{360 * k / SIDES:g} to {360 * (k + 1) / SIDES:g}°": side == k for k in range(SIDES)
+            f"{360 * k / sides:g} to {360 * (k + 1) / sides:g}°": side == k for k in range(sides)
         }
     if len(sets) > 1:
         out["data"] = dict(zip(names, own, strict=True))
