@@ -2,15 +2,12 @@
 
 import time
 
-import numpy as np
-
 from benchmarks.harness import Table
 from benchmarks.study_cases import one_thread
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.study.advice.advise import Advice, advise
 from phytac_design.study.advice.design_evaluation import FORCES, faults_of
-from phytac_design.study.advice.design_sensitivity import Sensitivity
 from phytac_design.study.advice.refinement import refine
 
 DESIGNS = ("cylinder60", "hemisphere", "grip")
@@ -18,7 +15,7 @@ CLOSE = 0.25
 """A piece came as predicted if its gain is within this share."""
 SECONDS = 60.0
 POLISHED = "grip"
-SOURCE = "each change applied, checked and judged by the rungs exact, mechanics and load at draft"
+SOURCE = "each change applied, checked and evaluated: exact, mechanics, load at draft"
 
 
 def advice(table: Table, *, quick: bool) -> None:
@@ -31,7 +28,6 @@ def advice(table: Table, *, quick: bool) -> None:
         found = advise(design, accuracy, checks=2 if quick else 5)
         seconds = time.process_time() - start
         _pieces(table, name, found)
-        _slopes(table, name, found)
         row = f"{name}: time of advice"
         source = "processor time, one thread, in a fresh cache; what is there already is quicker"
         table.add(
@@ -80,23 +76,3 @@ def _pieces(table: Table, name: str, found: Advice) -> None:
         "; ".join(f"{t.variable.name}: {t.reason[:60]}" for t in found.tried) or "none"
     )
     table.add(row, len(broke), "pieces", 0, SOURCE, "<= 0", note)
-
-
-def _slopes(table: Table, name: str, found: Advice) -> None:
-    """Slopes of the force against what applying the move did, of all moves that were judged."""
-    judged = [t for t in (*found.pieces, *found.tried) if t.achieved and t.slope is not None]
-    away = [abs(_error(trial.slope, trial.amount, trial.achieved, found.figures))
-            for trial in judged if trial.slope is not None]  # fmt: skip
-    if away:
-        row = f"{name}: error of slopes of force over the middle heights, median"
-        source = f"{len(away)} moves of up to an eighth of the field: predicted against judged"
-        note = f"worst {100.0 * max(away):.2g} %"
-        table.add(row, 100.0 * float(np.median(away)), "% of the figure", 0.0, source, note=note)
-
-
-def _error(
-    slope: Sensitivity, amount: float, achieved: dict[str, float], figures: dict[str, float]
-) -> float:
-    """Predicted less achieved force over the middle heights, as a share of what it was."""
-    goal = "force_middle_N"
-    return (slope.predict(figures, amount)[goal] - achieved[goal]) / figures[goal]

@@ -1,21 +1,15 @@
 """The design spaces that search is measured on: cylinder, cone and hemisphere."""
 
-import json
 import os
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.decoder_data import data_folder
 from phytac_design.core.threads import THREADS
-from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.design_space import DesignSpace, Params, make_space
 from phytac_design.study.search.sampler import sobol
 from phytac_design.study.search.study_file import Study
-from phytac_design.study.search.successive_halving import Outcome, evaluate_candidate, spec_of
 
 THIN = {
     "receptor.diameter_outer_mm": 2.4,
@@ -81,28 +75,6 @@ def drawn(study: Study, space: DesignSpace, count: int, first: int = 0) -> list[
 def one_thread() -> None:
     """Kernels of this process on one thread: figures are per core."""
     os.environ[THREADS] = "1"
-
-
-def climbed(
-    name: str, study: Study, space: DesignSpace, candidates: list[Params], rungs: tuple[str, ...]
-) -> Iterator[Outcome]:
-    """Outcomes of candidates on given rungs; those at hand from a run before are not made again."""
-    folder = data_folder() / "study"
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{name}-{code_hash()[:16]}.jsonl"
-    known = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-    yield from (Outcome(**line) for line in known[: len(candidates)])
-    spec = spec_of(study, space)
-    with path.open("a", encoding="utf-8") as file:
-        start = time.monotonic()
-        for number, params in enumerate(candidates[len(known) :], start=len(known) + 1):
-            outcome = evaluate_candidate(spec, params, rungs)
-            file.write(json.dumps(vars(outcome)) + "\n")
-            file.flush()
-            if number % 20 == 0:
-                taken = time.monotonic() - start
-                print(f"  {name}: {number} of {len(candidates)}, {taken:.0f} s", flush=True)
-            yield outcome
 
 
 def median(values: list[float]) -> float:

@@ -36,14 +36,10 @@ from phytac_design.study.search.successive_halving import (
 )
 
 RUNGS = ("rules", "sampled")
-GO = "go"
 ALONE = dict.fromkeys((THREADS, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 KILL_EVERY_S = 10.0
-TURNS = 3
-KILLED = 1536
-"""Candidates of the study with kills: at two workers it outlasts all kinds of them."""
-LOCAL, CLUSTER = "2 local workers", "two-process cluster on loopback"
-CASES = {"1 local worker": 1, LOCAL: 2, CLUSTER: 2}
+CLUSTER = "two-process cluster on loopback"
+CASES = {"1 local worker": 1, "2 local workers": 2, CLUSTER: 2}
 """Workers of each case."""
 
 
@@ -57,20 +53,20 @@ def study_for(count: int) -> tuple[Study, DesignSpace]:
     )
 
 
-def warm() -> None:
-    """Load all that a candidate needs."""
-    study, space = study_for(4)
-    for params in drawn(study, space, 4):
-        evaluate_candidate(spec_of(study, space), params, RUNGS)
+def started(*words: object) -> "subprocess.Popen[bytes]":
+    """Start this module as a process of its own, on one thread."""
+    command = [sys.executable, "-m", __name__, *map(str, words)]
+    return subprocess.Popen(command, env=os.environ | ALONE, stdout=subprocess.DEVNULL)
 
 
 def copy(folder: Path, count: int) -> None:
     """A copy of the program that does its own candidates, with files and all, on a signal."""
     one_thread()
-    warm()
     study, space = study_for(count)
+    for params in drawn(study, space, 4):  # loads all that a candidate needs
+        evaluate_candidate(spec_of(study, space), params, RUNGS)
     (folder / "ready").touch()
-    while not (folder.parent / GO).exists():
+    while not (folder.parent / "go").exists():
         time.sleep(0.01)
     start = time.perf_counter()
     run_study(study, space, folder / "study", kind="sweep")
@@ -79,16 +75,14 @@ def copy(folder: Path, count: int) -> None:
 
 def copies(number: int, count: int) -> float:
     """Candidates a second of so many copies that run together."""
-    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+    with tempfile.TemporaryDirectory() as name:
         folders = [Path(name) / str(k) for k in range(number)]
-        parts = []
         for folder in folders:
             folder.mkdir()
-            words = [sys.executable, "-m", __name__, "copy", str(folder), str(count)]
-            parts.append(stack.enter_context(subprocess.Popen(words, env=os.environ | ALONE)))
+        parts = [started("copy", folder, count) for folder in folders]
         while not all((folder / "ready").exists() for folder in folders):
             time.sleep(0.05)
-        (Path(name) / GO).touch()
+        (Path(name) / "go").touch()
         for part in parts:
             part.wait()
         return sum(count / float((folder / "seconds").read_text()) for folder in folders)
@@ -98,18 +92,13 @@ class Nothing(Task):
     """A task without work."""
 
     def run(self) -> dict[str, Any]:
-        """As a climb without rungs."""
+        """As an evaluation without levels."""
         return asdict(Outcome())
 
 
 def overhead_ms(pool: DaskPool, count: int) -> float:
     """What a task costs beside its work, as the driver sees it."""
-    study, space = study_for(4)
-    spec, params = spec_of(study, space), drawn(study, space, 1)[0]
-    tasks = [
-        Nothing(order=k, key=f"nothing-{k}", spec=spec, params=params, levels=RUNGS)
-        for k in range(count)
-    ]
+    tasks = [Nothing(key=f"nothing-{k}", spec="", params={}, levels=RUNGS) for k in range(count)]
     start = time.perf_counter()
     for _ in pool.run(tasks):
         pass
@@ -120,7 +109,7 @@ def pooled(pool: DaskPool, count: int, folder: Path) -> StudyRun:
     """Run a study on a pool whose workers have loaded all."""
     study, space = study_for(count)
     spec, early = spec_of(study, space), drawn(study, space, 4 * pool.workers, first=1 << 16)
-    for _ in pool.run(task_of(k, spec, params, RUNGS) for k, params in enumerate(early)):
+    for _ in pool.run(task_of(spec, params, RUNGS) for params in early):
         pass
     return run_study(study, space, folder, kind="sweep", pool=pool)
 
@@ -133,38 +122,26 @@ class Cluster:
             free.bind(("127.0.0.1", 0))
             self.port = int(free.getsockname()[1])
         self.address = f"tcp://127.0.0.1:{self.port}"
-        self.scheduler = self._scheduler()
-        self.workers = [self._worker() for _ in range(workers)]
+        self.parts = [self._start(number) for number in range(workers + 1)]
 
-    def _start(self, part: str, *words: str) -> "subprocess.Popen[bytes]":
-        command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *words, "--no-dashboard"]
-        quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        environment = (
-            os.environ
-            | WORKER_ENVIRONMENT
-            | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
+    def _start(self, number: int) -> "subprocess.Popen[bytes]":
+        words = ["worker", self.address, "--nthreads", "1", "--no-nanny"]
+        if number == 0:
+            words = ["scheduler", "--host", "127.0.0.1", "--port", str(self.port)]
+        command = [sys.executable, "-m", f"distributed.cli.dask_{words[0]}", *words[1:]]
+        failures = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
+        return subprocess.Popen(
+            [*command, "--no-dashboard"],
+            env=os.environ | WORKER_ENVIRONMENT | failures,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
         )
-        return subprocess.Popen(command, env=environment, **quiet)
 
-    def _scheduler(self) -> "subprocess.Popen[bytes]":
-        return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port))
-
-    def _worker(self) -> "subprocess.Popen[bytes]":
-        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny")
-
-    def kill_worker(self, number: int) -> None:
-        """Kill a worker, and start another in its place."""
-        self.workers[number].kill()
-        self.workers[number].wait()
-        self.workers[number] = self._worker()
-
-    def kill_scheduler(self) -> None:
-        """Kill the scheduler, and start it and its workers again."""
-        self.scheduler.kill()
-        self.scheduler.wait()
-        self.scheduler = self._scheduler()
-        for number in range(len(self.workers)):
-            self.kill_worker(number)
+    def kill(self, number: int) -> None:
+        """Kill the scheduler (0) or a worker, and start another in its place."""
+        self.parts[number].kill()
+        self.parts[number].wait()
+        self.parts[number] = self._start(number)
 
     def pool(self) -> DaskPool:
         """A client, once the scheduler listens and all workers are there."""
@@ -173,12 +150,12 @@ class Cluster:
                 break
             time.sleep(0.1)
         pool = DaskPool(address=self.address)
-        pool.client.wait_for_workers(len(self.workers))
+        pool.client.wait_for_workers(len(self.parts) - 1)
         return pool
 
     def close(self) -> None:
         """End all."""
-        for part in (*self.workers, self.scheduler):
+        for part in self.parts:
             part.kill()
             part.wait()
 
@@ -205,9 +182,8 @@ def pool_of(case: str) -> Iterator[DaskPool]:
 
 def dask(table: Table, *, quick: bool) -> None:
     """Throughput of one and two workers and of a cluster; then kills."""
-    count, turns = (24, 1) if quick else (256, TURNS)
+    count, turns = (24, 1) if quick else (256, 3)
     ratios: dict[str, list[float]] = {case: [] for case in CASES}
-    said: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as name:
         # In turns, since a machine's speed drifts by more than what is asked.
         for turn in range(turns):
@@ -215,9 +191,7 @@ def dask(table: Table, *, quick: bool) -> None:
                 alone = copies(workers, count // workers)
                 with pool_of(case) as pool:
                     done = pooled(pool, count, Path(name) / f"{case}-{turn}")
-                rate = done.new / done.seconds
-                ratios[case].append(rate / alone)
-                said[case] = f"{rate:.1f}/s against {alone:.1f}/s"
+                ratios[case].append(done.new / done.seconds / alone)
         for case, workers in CASES.items():
             row = (
                 f"{case}: throughput over that of {workers} independent "
@@ -227,72 +201,63 @@ def dask(table: Table, *, quick: bool) -> None:
                 f"{count} candidates, rules and sampled, all loaded before; median of {turns} turns"
             )
             note = (
-                f"turns {', '.join(f'{ratio:.2f}' for ratio in ratios[case])}; the last "
-                f"{said[case]}; driver and scheduler on the same cores"
+                f"turns {', '.join(f'{ratio:.2f}' for ratio in ratios[case])}; driver and "
+                "scheduler on the same cores"
             )
             table.add(row, float(np.median(ratios[case])), "ratio", 1.0, source, ">= 0.9", note)
-        with pool_of(LOCAL) as pool:
-            more = 24 if quick else KILLED
+        with pool_of("2 local workers") as pool:
+            # At two workers these outlast all kinds of kills.
+            more = 24 if quick else 1536
             expected = rows_of(pooled(pool, more, Path(name) / "undisturbed").folder)
-            # After a study, since how many candidates travel at once is learnt from it.
-            _overhead_row(table, pool, 100 if quick else 2000)
+            row = "a task beside its work, driver, scheduler and two workers on this machine"
+            source = "tasks that do nothing, wall time over their number"
+            note = "0.1 s is what ten designs a second take"
+            value = overhead_ms(pool, 100 if quick else 2000)
+            table.add(row, value, "ms", 100.0, source, note=note)
         with closing(Cluster(2)) as cluster:
             cluster.pool().close()
             _killed(table, cluster, Path(name) / "killed", expected)
 
 
-def _overhead_row(table: Table, pool: DaskPool, count: int) -> None:
-    """What a task costs beside its work."""
-    row = "a task beside its work, driver, scheduler and two workers on this machine"
-    source = "tasks that do nothing, wall time over their number"
-    note = "0.1 s is what ten designs a second take"
-    table.add(row, overhead_ms(pool, count), "ms", 100.0, source, note=note)
-
-
 def _killed(table: Table, cluster: Cluster, folder: Path, expected: list[dict[str, Any]]) -> None:
-    """Kill a worker every ten seconds, the driver once and the scheduler once."""
-    count = len(expected)
-    words = [sys.executable, "-m", __name__, "drive", str(folder), str(count), cluster.address]
+    """Kill a worker every ten seconds, the driver once and the scheduler once.
+
+    A driver that loses its scheduler ends, and is started again.
+    """
+    words = ("drive", folder, len(expected), cluster.address)
     kills = {"worker": 0, "driver": 0, "scheduler": 0}
-
-    def driver() -> "subprocess.Popen[bytes]":
-        return subprocess.Popen(words, env=os.environ | ALONE, stdout=subprocess.DEVNULL)
-
-    running, start = driver(), time.monotonic()
+    running, start = started(*words), time.monotonic()
     events = ["worker", "driver", "worker", "scheduler", *["worker"] * 1000]
     for number, what in enumerate(events):
         left = start + (number + 1) * KILL_EVERY_S - time.monotonic()
         with suppress(subprocess.TimeoutExpired):
-            running.wait(max(left, 0.0))
-            break
+            if running.wait(max(left, 0.0)) == 0:
+                break
         kills[what] += 1
         if what == "worker":
-            cluster.kill_worker(number % 2)
-        elif what == "scheduler":
-            cluster.kill_scheduler()
-        else:
-            running.send_signal(signal.SIGKILL)
-            running.wait()
-            running = driver()
-    found = rows_of(folder)
-    same = sum(one == other for one, other in zip(found, expected, strict=False))
+            cluster.kill(1 + number % 2)
+            continue
+        if what == "scheduler":
+            for part in range(3):
+                cluster.kill(part)
+            cluster.pool().close()
+        running.send_signal(signal.SIGKILL)
+        running.wait()
+        running = started(*words)
+    same = sum(one == other for one, other in zip(rows_of(folder), expected, strict=False))
     row = (
         f"rows equal to the undisturbed ones, {kills['worker']} workers, {kills['driver']} driver "
         f"and {kills['scheduler']} scheduler killed"
     )
-    source = f"{count} candidates, a kill every {KILL_EVERY_S:g} s, cluster on loopback"
-    note = (
-        f"{len(found)} rows; driver ended with {running.returncode}, all but its last run by kill"
-    )
-    table.add(row, 100.0 * same / len(expected), "%", 100.0, source, ">= 100", note)
+    source = f"{len(expected)} candidates, a kill every {KILL_EVERY_S:g} s, cluster on loopback"
+    table.add(row, 100.0 * same / len(expected), "%", 100.0, source, ">= 100")
 
 
 def drive(folder: Path, count: int, address: str) -> None:
     """A driver that may be killed."""
     study, space = study_for(count)
-    pool = DaskPool(address=address, say=print)
-    run_study(study, space, folder, kind="sweep", pool=pool)
-    pool.close()
+    with closing(DaskPool(address=address)) as pool:
+        run_study(study, space, folder, kind="sweep", pool=pool)
 
 
 if __name__ == "__main__":

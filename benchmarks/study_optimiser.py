@@ -1,4 +1,4 @@
-"""Optuna's search against as long a Sobol sequence, and a problem with a known answer."""
+"""Optuna's search against as long a Sobol sequence."""
 
 import shutil
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table
-from benchmarks.study_cases import THIN, one_thread, study_of
+from benchmarks.study_cases import one_thread, study_of
 from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.design_space import DesignSpace
 from phytac_design.study.search.driver import Kind, run_study
@@ -25,9 +25,6 @@ LIMITS = [
 ]
 REFERENCE = np.array([0.0, 0.3])
 """No markers at all, and 0.3 N: what nobody would build."""
-PITCH_mm = 7.9
-"""Not a divisor of the length: an optimum on the very bound is a matter of rounding."""
-LENGTH_mm, DIAMETER_mm = 120.0, 60.0
 
 
 def ran(study: Study, space: DesignSpace, kind: Kind, name: str) -> Results:
@@ -41,7 +38,7 @@ def ran(study: Study, space: DesignSpace, kind: Kind, name: str) -> Results:
 
 
 def optimiser(table: Table, *, quick: bool) -> None:
-    """Hypervolume of fronts, three seeds each; and the densest rows and columns of a pitch."""
+    """Hypervolume of fronts, three seeds each."""
     one_thread()
     budget = 48 if quick else 192
     for sampler in ("tpe", "nsga2"):
@@ -68,7 +65,6 @@ def optimiser(table: Table, *, quick: bool) -> None:
             "reference point 0 markers, 0.3 N"
         )
         table.add(row, min(ratios), "ratio", 1.0, source, "> 1", "; ".join(notes))
-    _known(table, quick=quick)
 
 
 def _covered(results: Results) -> float:
@@ -78,41 +74,3 @@ def _covered(results: Results) -> float:
 
     inside = values[np.all(values < REFERENCE, axis=1)]
     return float(compute_hypervolume(inside, REFERENCE)) if len(inside) else 0.0
-
-
-def _known(table: Table, *, quick: bool) -> None:
-    """Most straight rows and columns whose neighbours are a pitch apart: known in closed form."""
-    rows = int(LENGTH_mm / PITCH_mm)
-    columns = int(np.pi / np.arcsin(PITCH_mm / DIAMETER_mm))
-    best = rows * columns
-    for seed in SEEDS[:1] if quick else SEEDS:
-        study, space = study_of(
-            "cylinder",
-            seed=seed,
-            fixed=THIN | {"layout.kind": "straight", "layout.heights": "power"},
-            variable=[
-                {"field": "layout.rows", "low": 4, "high": 31},
-                {"field": "layout.columns", "low": 4, "high": 40},
-                {"field": "wall.thickness_mm", "low": 0.6, "high": 1.4},
-                {"field": "layout.height_exponent", "low": 1.0, "high": 4.0},
-            ],
-            objective=GOALS[:1],
-            constraint=[{"measure": "pitch_least_mm", "min": PITCH_mm}],
-            budget={"candidates": 64 if quick else 160},
-            sampling={"batch": 8, "start": 32},
-        )
-        counts = {}
-        runs: tuple[tuple[Kind, str], ...] = (
-            ("optimise", f"known-{seed}"),
-            ("sweep", f"known-even-{seed}"),
-        )
-        for kind, name in runs:
-            results = ran(study, space, kind, name)
-            counts[kind] = float(results.columns["marker_count"][results.ok].max(initial=0.0))
-        row = f"most markers {PITCH_mm:g} mm apart in straight rows, seed {seed}"
-        source = f"{rows} rows of {columns}: length / pitch, and chords of the outer circle"
-        note = (
-            f"{study.budget.candidates} candidates of {28 * 37} layouts and two variables "
-            f"that do not matter; Sobol finds {counts['sweep']:.0f} with as many"
-        )
-        table.add(row, counts["optimise"], "markers", best, source, f">= {best}", note)

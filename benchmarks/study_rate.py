@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from benchmarks.harness import Table
-from benchmarks.study_cases import SPACES, climbed, drawn, median, one_thread, study_of
+from benchmarks.study_cases import SPACES, drawn, median, one_thread, study_of
 from phytac_design.study.search.measures import MEASURES, measures_up_to
 from phytac_design.study.search.successive_halving import OK, Outcome, evaluate_candidate, spec_of
 
@@ -61,17 +61,16 @@ def ladder(table: Table, *, quick: bool) -> None:
     for shape in SPACES:
         study, space = study_of(shape, ladder={"rungs": list(ALL)})
         # A level is most informative where the others accept designs: no constraint, all rungs.
-        candidates = drawn(study, space, 4 * each)
+        spec = spec_of(study, space)
         able = [
             params
-            for params in candidates
-            if evaluate_candidate(spec_of(study, space), params, ("rules",)).status == OK
+            for params in drawn(study, space, 4 * each)
+            if evaluate_candidate(spec, params, ("rules",)).status == OK
         ][:each]
-        found = list(climbed(f"ladder-{shape}", study, space, able, PRESSED))
+        found = [evaluate_candidate(spec, params, PRESSED) for params in able]
         found = [outcome for outcome in found if outcome.status == OK]
-        judged = list(
-            climbed(f"twin-{shape}", study, space, able[: 1 if quick else TWINS[shape]], ("twin",))
-        )
+        twins = able[: 1 if quick else TWINS[shape]]
+        judged = [evaluate_candidate(spec, params, ("twin",)) for params in twins]
         _costs(table, shape, found, judged)
         _orders(table, shape, found, judged)
 

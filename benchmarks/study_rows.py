@@ -1,8 +1,6 @@
 """A study of ten thousand rows: memory of the driver, time of the front, and the page."""
 
 import resource
-import shutil
-import subprocess
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
@@ -15,7 +13,6 @@ from benchmarks.study_cases import study_of
 from phytac_design.study.search.driver import run_study
 from phytac_design.study.search.measures import measures_up_to
 from phytac_design.study.search.search_report import read_results, write_page
-from phytac_design.study.search.study_folder import OPEN
 from phytac_design.study.search.successive_halving import Outcome, SerialPool, Task
 
 RUNGS = ("rules", "sampled")
@@ -35,11 +32,8 @@ class ClosedForm(SerialPool):
     def __init__(self) -> None:
         self.memory_MB: list[float] = []
 
-    def run(
-        self, tasks: Iterable[Task], following: Iterable[Task] = ()
-    ) -> Iterator[tuple[Task, Outcome]]:
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
         """Smooth figures of the variables."""
-        del following
         for task in tasks:
             values = [float(value) for value in task.params.values()]
             names = measures_up_to(RUNGS)
@@ -92,28 +86,3 @@ def rows(table: Table, *, quick: bool) -> None:
         note = f"{page.stat().st_size / 1e6:.1f} MB, one file"
         value = time.perf_counter() - start
         table.add(row, value, "s", "", "wall time, figures included", "<= 10", note)
-        _shown(table, page)
-        open_bytes = (folder / OPEN).stat().st_size
-        assert open_bytes == 0
-
-
-def _shown(table: Table, page: Path) -> None:
-    """Time until a browser has drawn the page, less that of an empty one."""
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
-        return
-    empty = page.with_name("empty.html")
-    empty.write_text("<!doctype html><title>empty</title>")
-
-    def opened(path: Path) -> float:
-        words = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1100,2200"]
-        words += [f"--screenshot={path.with_suffix('.png')}", path.as_uri()]
-        start = time.perf_counter()
-        subprocess.run(words, capture_output=True, check=True, timeout=120)
-        return time.perf_counter() - start
-
-    opened(empty)
-    row = "page: until a browser has drawn it"
-    source = f"{Path(browser).name}, headless, beyond an empty page"
-    value = min(opened(page) for _ in range(3)) - min(opened(empty) for _ in range(3))
-    table.add(row, value, "s", "", source, "<= 2")

@@ -27,6 +27,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "tolerance": partial(tradeoff_tolerance.add_rows, quick=quick),
         "budget": partial(tradeoff_budget.add_rows, quick=quick),
         "scenes": partial(tradeoff_scenes.add_rows, quick=quick),
+        "units": tradeoff_scenes.measure_units,
     }
 
 

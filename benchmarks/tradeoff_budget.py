@@ -1,19 +1,13 @@
 """Budgets on random designs: is a build done in the time it was given."""
 
-import os
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.harness import Table
 from benchmarks.tradeoff_designs import random_designs
-from benchmarks.tradeoff_journal import once
+from benchmarks.tradeoff_journal import empty_cache, once
 from phytac_design.design.spec import Design
 from phytac_design.study.tradeoff.build_to import build_to
 from phytac_shapes.errors import DesignError, PhytacError
@@ -22,22 +16,6 @@ BUDGETS_s = (30.0, 45.0, 60.0, 90.0, 120.0)
 DESIGNS, SEED = 24, 5
 OVER = 1.2
 MET = 90.0
-
-
-@contextmanager
-def empty_cache() -> Iterator[Path]:
-    """Folder for a build whose cache is empty, gone afterwards."""
-    before = os.environ.get("PHYTAC_CACHE")
-    folder = Path(tempfile.mkdtemp(prefix="phytac-budget-"))
-    os.environ["PHYTAC_CACHE"] = str(folder / "cache")
-    try:
-        yield folder
-    finally:
-        if before is None:
-            del os.environ["PHYTAC_CACHE"]
-        else:
-            os.environ["PHYTAC_CACHE"] = before
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def built(design: Design, budget_s: float) -> dict[str, Any]:

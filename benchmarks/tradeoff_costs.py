@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Table
-from benchmarks.tradeoff_budget import empty_cache
 from benchmarks.tradeoff_designs import random_designs
-from benchmarks.tradeoff_journal import once
+from benchmarks.tradeoff_journal import empty_cache, once
 from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.stages import STAGES
@@ -99,7 +98,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
 
 
 def write_units(**new: Any) -> None:
-    """Write ``units.py`` with some of its tables replaced.
+    """Write ``unit_costs.py`` with some of its tables replaced.
 
     The other tables are scaled by the new probe's time, if there is one.
     """

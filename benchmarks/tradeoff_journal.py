@@ -1,8 +1,10 @@
-"""Results of long runs, each in a file of its own, keyed by design, program and case."""
+"""Results of long runs, each in a file of its own, keyed by design, program and case; caches."""
 
 import json
 import os
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -32,3 +34,23 @@ def once(design: Design, case: str, work: Callable[[], dict[str, Any]]) -> dict[
         partial.write_text(json.dumps(found), encoding="utf-8")
         partial.replace(path)
     return found
+
+
+@contextmanager
+def cache_at(path: Path) -> Iterator[None]:
+    """Builds use this cache."""
+    before = os.environ.get("PHYTAC_CACHE")
+    os.environ["PHYTAC_CACHE"] = str(path)
+    try:
+        yield
+    finally:
+        os.environ.pop("PHYTAC_CACHE")
+        if before is not None:
+            os.environ["PHYTAC_CACHE"] = before
+
+
+@contextmanager
+def empty_cache() -> Iterator[Path]:
+    """Folder for a build whose cache is empty, gone afterwards."""
+    with tempfile.TemporaryDirectory() as name, cache_at(Path(name) / "cache"):
+        yield Path(name)

@@ -1,7 +1,6 @@
 """The virtual sensor: its shell against CalculiX, its speed, its eyes, its data sets.
 
-The parts ``referee``, ``shell_…`` and ``linear_…`` hold it against contacts solved by CalculiX on
-solids of the true CAD.
+The parts ``shell_…`` hold it against contacts solved by CalculiX on solids of the true CAD.
 
 ``python -m benchmarks.twin [--quick] [--parts a,b]``
 """
@@ -26,15 +25,13 @@ from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.instance_shell import truth_shell
-from phytac_design.simulation.linear_response import point_motions, turned_points
+from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
 QUICK = 4
 """Contacts of a quick run."""
-AT_N = (5.0, 10.0, 25.0)
-"""Forces at which the gap to linear theory is evaluated."""
 LIMIT = 2.0
 RIM_MM = 5.0
 RIM = (
@@ -61,13 +58,12 @@ class TipComparison:
     ----------
     item : Solved
         The referee's.
-    large_mm, linear_mm : (n, 3) float
-        By large displacements and by linear theory.
+    large_mm : (n, 3) float
+        By large displacements.
     """
 
     item: Solved
     large_mm: FloatArray
-    linear_mm: FloatArray
 
 
 def shell_loads(this: Sensor, mesh: ShellMesh, solved: list[Solved]) -> csc_matrix:
@@ -90,7 +86,7 @@ def shell_loads(this: Sensor, mesh: ShellMesh, solved: list[Solved]) -> csc_matr
 def judge(
     this: Sensor, mesh: ShellMesh, model: ShellModel, solved: list[Solved]
 ) -> list[TipComparison]:
-    """Solve the referee's contacts on a shell, linear and with large displacements."""
+    """Solve the referee's contacts on a shell with large displacements."""
     markers = this.markers
     arm = markers.tip_mm - markers.mid_mm
     feet = ReceptorKinematics(
@@ -98,16 +94,10 @@ def judge(
     )
     shell, out = QuasiNewtonSolver(model), []
     for item, load in zip(solved, shell_loads(this, mesh, solved).T.toarray(), strict=True):
-        linear, sample = shell.linear(load), shell.solve(load).sample
+        sample = shell.solve(load).sample
         if sample.motion is None:
             raise RuntimeError(f"contact {item.index} has no shell solution: {sample.reason}")
-        out.append(
-            TipComparison(
-                item=item,
-                large_mm=turned_points(feet.large(sample.motion), arm),
-                linear_mm=point_motions(feet.linear(linear), arm),
-            )
-        )
+        out.append(TipComparison(item=item, large_mm=turned_points(feet.large(sample.motion), arm)))
     return out
 
 
@@ -182,33 +172,11 @@ def shell_rows(table: Table, name: str, *, quick: bool) -> None:
     table.add(row, len(solved), "contacts", sum(COUNTS[name]), source, target, note)
 
 
-def linear_rows(table: Table, name: str, *, quick: bool) -> None:
-    """How far linear theory is from the referee: the gap between simple model and truth is real."""
-    this = sensor(name)
-    solved = read_solved(data_file(name), this.design, this.markers)
-    alone = [item for item in solved if len(item.contact.uv) == 1]
-    refine = PRESETS["draft" if quick else "standard"].truth_refine
-    mesh, model = truth_shell(this.design, this.surface, refine)
-    for force in AT_N:
-        near = sorted(alone, key=lambda item: abs(item.largest_N - force))[:1]
-        for one in judge(this, mesh, model, near):
-            head = f"{name}: {one.item.largest_N:.4g} N on one patch ({one.item.contact.kind})"
-            for label, found in (("linear", one.linear_mm), ("large", one.large_mm)):
-                row = f"{head}: {label} shell, tip displacement, difference"
-                table.add(row, gap(found, one.item), "% of peak", 0.0, SOURCE)
-                row = f"{head}: {label} shell, peak over the referee's, less 1"
-                value = 100.0 * (
-                    float(np.linalg.norm(found, axis=1).max()) / one.item.peak_mm - 1.0
-                )
-                table.add(row, value, "%", 0.0, SOURCE)
-
-
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """Parts of this benchmark."""
     out: dict[str, Callable[[Table], None]] = {}
     for name in COUNTS:
         out[f"shell_{name}"] = partial(shell_rows, name=name, quick=quick)
-        out[f"linear_{name}"] = partial(linear_rows, name=name, quick=quick)
     out |= {
         name: partial(rows, quick=quick)
         for name, rows in (
@@ -216,7 +184,6 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
             ("eyes", twin_camera.add_rows),
             ("time", twin_engine.time_rows),
             ("workers", twin_engine.worker_rows),
-            ("kills", twin_engine.kill_rows),
             ("size", twin_engine.size_rows),
             ("shapes", twin_engine.shape_rows),
         )

@@ -3,10 +3,7 @@
 Rows of ``twin``.
 """
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -104,13 +101,6 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def timed(work: Callable[[], Any]) -> tuple[Any, float]:
-    """What a call gives, and its processor seconds over all threads."""
-    start = time.process_time()
-    result = work()
-    return result, time.process_time() - start
-
-
 def faults(table: Table, case: CameraCase) -> None:
     """What each fault of a camera does to centroids at rest and to displacements."""
     (motion,), (bits,) = case.pressed(1)
@@ -181,10 +171,9 @@ def quarter(design: Design) -> Design:
     )
 
 
-def points_and_frames(table: Table, case: CameraCase, count: int) -> None:  # noqa: PLR0915 - rows
-    """Displacements of both kinds of points against noise-free frames; noise; seconds."""
+def points_and_frames(table: Table, case: CameraCase, count: int) -> None:
+    """Displacements of both kinds of points against noise-free frames; noise."""
     name, eyes = case.design.name, case.eyes(samples=SAMPLES)
-    _, ready = timed(lambda: eyes.status)
     if eyes.status:
         table.add(f"{name}: can be read", 0.0, "-", reference=1.0, source="rest frame",
                   target=">= 1", note=eyes.status)  # fmt: skip
@@ -195,20 +184,12 @@ def points_and_frames(table: Table, case: CameraCase, count: int) -> None:  # no
     }
     still, off = np.zeros((case.markers.count, 6)), np.zeros(case.markers.count, dtype=np.bool_)
     zero = eyes.read(eyes.frame(still, off)).shift_px
-    fixed = case.eyes(wall_follows=False, at_rest=eyes.rest, samples=SAMPLES)
     motions, every = case.pressed(count)
     found: dict[str, list[FloatArray]] = {"paint": [], "pixels": []}
-    seconds: dict[str, list[float]] = {"paint": [], "pixels": [], "frame": [], "read": []}
-    frames, wall, put_in, wrong, lost = [], [], [], 0, 0
-    for own in both.values():
-        own.points(motions[0], every[0])  # compiled and measured once
+    frames, put_in, wrong, lost = [], [], 0, 0
     for motion, bits in zip(motions, every, strict=True):
-        images, spent = timed(partial(eyes.frame, motion, bits))
-        seen, read = timed(partial(eyes.read, images))
-        seconds["frame"].append(spent)
-        seconds["read"].append(read)
+        seen = eyes.read(eyes.frame(motion, bits))
         frames.append(seen.shift_px - zero)
-        wall.append(fixed.read(fixed.frame(motion, bits)).shift_px - zero - frames[-1])
         wrong += int((seen.bits != bits).sum())
         lost += int((~seen.found).sum())
         exact = eyes.points(motion, bits).shift_px
@@ -217,9 +198,7 @@ def points_and_frames(table: Table, case: CameraCase, count: int) -> None:  # no
         ]
         put_in.append(np.mean(noisy, axis=0) - exact)  # the noise of a frame is nearly gone
         for kind, own in both.items():
-            points, spent = timed(partial(own.points, motion, bits))
-            found[kind].append(points.shift_px)
-            seconds[kind].append(spent)
+            found[kind].append(own.points(motion, bits).shift_px)
     shift = np.linalg.norm(np.array(frames), axis=2)
     moving = shift > 0.1 * np.nanmax(shift, axis=1, keepdims=True)
     loads = (
@@ -239,10 +218,6 @@ def points_and_frames(table: Table, case: CameraCase, count: int) -> None:  # no
             )
             value = float(np.sqrt(max(whole**2 - noise**2, 0.0)))
             table.add(row, value, "px RMS", 0.0, source, "<= 0.05", note)
-    row = f"{name}: shift that changes if the wall in frames stands still"
-    source = "frames whose wall follows its receptors"
-    note = f"greatest {np.nanmax(np.abs(np.array(wall))):.2g} px"
-    table.add(row, rms(np.array(wall)), "px RMS", 0.0, source, note=note)
     rest = eyes.at_rest
     given = case.design.camera.noise_centroid_px
     for what, values in (("noise of a frame", rest.noise_px), ("place on pixels", rest.grid_px)):
@@ -250,16 +225,6 @@ def points_and_frames(table: Table, case: CameraCase, count: int) -> None:  # no
         source = "the design's camera.noise_centroid_px"
         note = f"{np.nanmin(values):.2g} to {np.nanmax(values):.2g} px, RMS {rms(values):.2g} px"
         table.add(row, float(np.nanmedian(values)), "px", given, source, note=note)
-    row = f"{name}: a sample by points (paint)"
-    source = "a sample by frames: rendered, exposed, read"
-    note = (
-        f"points (pixels) {np.median(seconds['pixels']):.2f} s; a frame "
-        f"{np.median(seconds['frame']):.2f} s, reading it {np.median(seconds['read']):.2f} s; "
-        f"measuring the unit at rest {ready:.1f} s, once"
-    )
-    value = float(np.median(seconds["paint"]))
-    reference = float(np.median(seconds["frame"])) + float(np.median(seconds["read"]))
-    table.add(row, value, "s of one core", reference, source, note=note)
 
 
 def add_rows(table: Table, *, quick: bool) -> None:

@@ -1,15 +1,9 @@
-"""The simulation itself: time, workers, kills, sizes, every shape; rows of ``twin``."""
+"""The simulation itself: time, workers, sizes, every shape; rows of ``twin``."""
 
 import hashlib
 import os
-import signal
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
-
-import numpy as np
 
 from benchmarks.harness import Table
 from phytac_design.datasets.samples_reader import read_samples
@@ -17,10 +11,9 @@ from phytac_design.datasets.samples_writer import FILE, TABLE
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario
-from phytac_design.workflows.simulate import JOURNAL_FOLDER, SimulationResult, simulate
+from phytac_design.workflows.simulate import SimulationResult, simulate
 from phytac_shapes.errors import PhytacError
 
-KILLS = 10
 SEED = 11
 
 
@@ -96,54 +89,6 @@ def worker_rows(table: Table, *, quick: bool) -> None:
         table.add(
             row, value, "of ideal", 1.0, source, ">= 0.85" if workers == 2 and not quick else None
         )
-
-
-def _stored(out: Path) -> int:
-    """Samples that an unfinished run has stored."""
-    return sum(1 for _ in (out / JOURNAL_FOLDER).rglob("*.bin"))
-
-
-def kill_rows(table: Table, *, quick: bool) -> None:
-    """Kill the command at random moments, resume it, and compare with an uninterrupted run."""
-    kills = 2 if quick else KILLS
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        command = [
-            str(Path(sys.executable).parent / "phytac"), "simulate", "cylinder40", "platform",
-            "--accuracy", "draft", "--samples", "40", "--workers", "2", "--out",
-        ]  # fmt: skip
-        begin = time.perf_counter()
-        subprocess.run([*command, str(folder / "whole")], check=True, capture_output=True)
-        whole = time.perf_counter() - begin
-        moments = np.random.default_rng(SEED)
-        killed = same = 0
-        for _ in range(kills):
-            out = folder / "killed"
-            # The first kill falls anywhere, start-up included; later ones after it, so that a
-            # machine that got slower meanwhile still comes to an end.
-            first, before = True, 0
-            while not (out / TABLE).exists():
-                run = subprocess.Popen(
-                    [*command, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-                )
-                while not first and run.poll() is None and _stored(out) == before:
-                    time.sleep(0.05)
-                try:
-                    run.wait(moments.uniform(0.0, (0.9 if first else 0.4) * whole))
-                except subprocess.TimeoutExpired:
-                    run.send_signal(signal.SIGKILL)
-                    run.wait()
-                    killed += 1
-                first, before = False, _stored(out)
-            same += fingerprint(out) == fingerprint(folder / "whole")
-            for path in sorted(out.rglob("*"), reverse=True):
-                path.rmdir() if path.is_dir() else path.unlink()
-            out.rmdir()
-    row = (
-        f"cylinder40, 40 samples: runs killed (SIGKILL) at random and resumed, {killed} kills in "
-        f"{kills} runs: data sets identical to the uninterrupted one"
-    )
-    table.add(row, same, f"of {kills}", kills, "SHA-256 of both files", f"== {kills}")
 
 
 def size_rows(table: Table, *, quick: bool) -> None:

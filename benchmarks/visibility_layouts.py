@@ -1,6 +1,6 @@
 """Layouts of the published sensor side by side: same count, camera and load; and a dense one."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
-from phytac_design.optics.loaded_visibility import LoadedVisibility
-from phytac_design.optics.visibility import Visibility, check_visibility
+from phytac_design.optics.visibility import check_visibility
 from phytac_design.stages.build import copy_of
 from phytac_design.stages.loaded_views_stage import see_pressed
 
@@ -49,42 +48,24 @@ DENSE_TARGETS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class LayoutCase:
-    """A layout, what is seen of it at rest, and under load."""
-
-    name: str
-    context: Context
-    rest: Visibility
-    load: LoadedVisibility
-
-    @property
-    def label(self) -> str:
-        """Beginning of its rows."""
-        return f"{self.context.design.name} {self.context.markers.count}, {self.name}"
-
-
-def case_of(name: str, design: Design, *, places: int, linear: bool = False) -> LayoutCase:
-    """Look at a design at rest and pressed, at standard accuracy."""
+def add_case(
+    table: Table, name: str, design: Design, *, places: int = PLACES, linear: bool = False
+) -> None:
+    """Rows of one layout, at rest and pressed, at standard accuracy."""
     accuracy = replace(PRESETS["standard"], press_places=places)
     if linear:
         accuracy = replace(accuracy, press_tolerance=1.0)
     context = Context(design=design, accuracy=accuracy, seed=0, progress=lambda _: None)
     rest = check_visibility(context.sensor, rng=np.random.default_rng(0))
-    gap = np.minimum(rest.gap_same_colour_px, rest.gap_other_colour_px)
-    return LayoutCase(name=name, context=context, rest=rest, load=see_pressed(context, gap)[1])
-
-
-def add_case(table: Table, case: LayoutCase) -> None:
-    """Rows of one layout."""
-    rest, load, training = case.rest, case.load, case.context.design.training
-    dense = case.context.design.name == "cylinder60-dense"
+    load = see_pressed(context, np.minimum(rest.gap_same_colour_px, rest.gap_other_colour_px))[1]
+    training, count = design.training, context.markers.count
+    dense = design.name == "cylinder60-dense"
     force = f"{training.force_max_N:g} N"
     at_rest = [
-        ("markers", case.context.markers.count, "markers", None),
+        ("markers", count, "markers", None),
         ("occluded", rest.occluded.sum(), "markers", None),
-        ("fused", rest.fused.sum(), "markers", FUSED_STUDY.get(case.name)),
-        ("least gap, same colour", rest.gap_same_colour_px.min(), "px", GAP_STUDY.get(case.name)),
+        ("fused", rest.fused.sum(), "markers", FUSED_STUDY.get(name)),
+        ("least gap, same colour", rest.gap_same_colour_px.min(), "px", GAP_STUDY.get(name)),
         ("least gap, other colour", rest.gap_other_colour_px.min(), "px", None),
         ("least visible fraction", rest.visible_fraction.min(), "-", None),
     ]
@@ -94,7 +75,7 @@ def add_case(table: Table, case: LayoutCase) -> None:
         ("least gap, same colour", load.least_gap_same_px.min(), "px", None),
         ("least gap, other colour", load.least_gap_other_px.min(), "px", None),
         ("least visible fraction", load.least_fraction.min(), "-", None),
-        ("crosstalk", load.crosstalk_px.max(), "px", CROSSTALK_STUDY.get(case.name)),
+        ("crosstalk", load.crosstalk_px.max(), "px", CROSSTALK_STUDY.get(name)),
         ("crosstalk where markers stand still", load.crosstalk_still_px.max(), "px", None),
         ("greatest image shift", load.shift_px.max(), "px", None),
     ]
@@ -106,7 +87,7 @@ def add_case(table: Table, case: LayoutCase) -> None:
                 target = DENSE_TARGETS.get(what)
                 if when == force and what.startswith("least"):
                     target = None
-            row = f"{case.label}: {when}: {what}"
+            row = f"{design.name} {count}, {name}: {when}: {what}"
             source = STUDY if reference else "not published"
             table.add(
                 row,
@@ -123,9 +104,8 @@ def add_rows(table: Table, *, quick: bool) -> None:
     """All layouts of ``cylinder60``, and the dense design."""
     base, dense = load_design("cylinder60"), load_design("cylinder60-dense")
     if quick:
-        add_case(table, case_of("spiral, angle from the axis", base, places=2, linear=True))
+        add_case(table, "spiral, angle from the axis", base, places=2, linear=True)
         return
     for name, change in LAYOUTS.items():
-        add_case(table, case_of(name, copy_of(base, layout=change), places=PLACES))
-    name = "spiral, line-of-sight heights"
-    add_case(table, case_of(name, dense, places=PLACES_DENSE))
+        add_case(table, name, copy_of(base, layout=change))
+    add_case(table, "spiral, line-of-sight heights", dense, places=PLACES_DENSE)

@@ -178,9 +178,7 @@ def test_tips_beside_rims_are_known(grip: Sensor) -> None:
     item = made_up(grip)
     off = item.motion_mm.copy()
     off[7] += [0.0, 0.3, 0.4]
-    assert (
-        twin.worst_tip(twin.TipComparison(item=item, large_mm=off, linear_mm=item.motion_mm)) == 7
-    )
+    assert twin.worst_tip(twin.TipComparison(item=item, large_mm=off)) == 7
 
 
 def test_gap_and_scale_are_of_the_peak(grip: Sensor) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import to_toml
 from phytac_design.study.advice.advise import Advice
-from phytac_design.study.advice.design_changes import FAULTS, GOALS, RULES, Change
+from phytac_design.study.advice.design_changes import GOALS, Change
 from phytac_design.study.advice.design_evaluation import FIGURES, FORCES
-from phytac_design.study.advice.design_sensitivity import Sensitivity
+from phytac_design.study.advice.local_model import Sensitivity
 from phytac_design.study.advice.refinement import RefinedDesign
 from phytac_design.study.search.surrogate import FORCE_N
 from phytac_shapes.errors import OutputError
@@ -130,16 +130,16 @@ def _slope_lines(slopes: list[Sensitivity]) -> list[str]:
 
 def _piece(change: Change) -> str:
     goal, gain, predicted = change.goal, change.gain, change.predicted_gain
-    if goal == FAULTS:
+    if goal == "faults":
         words = f"repairs {gain:.0%} of the faults (predicted {predicted:.0%})"
-    elif goal == RULES:
+    elif goal == "rules":
         words = "every rule passes, and every marker is visible"
     elif goal in FORCES:
         finer, expected = 100.0 * gain, 100.0 * predicted
         words = f"{FIGURES[goal].doc} {finer:.1f} % finer (predicted {expected:.1f} %)"
     else:
         words = f"{FIGURES[goal].doc} {gain:+.2f} px (predicted {predicted:+.2f})"
-    if goal in {FAULTS, RULES}:
+    if goal in {"faults", "rules"}:
         after = change.achieved
         words += (
             f"; then force {after['force_middle_N']:.3g} N, least gap {after['gap_px']:.3g} px, "

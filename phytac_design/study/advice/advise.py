@@ -5,12 +5,9 @@ from dataclasses import dataclass, field, replace
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.spec import Design
-from phytac_design.layout import Markers, make_markers
-from phytac_design.layout.cameras import cameras_of, stand_off_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.study.advice.design_changes import (
-    FAULTLESS,
-    RULES,
     Change,
     broken_margin,
     change_by,
@@ -20,20 +17,26 @@ from phytac_design.study.advice.design_changes import (
     gain_words,
     least_gain,
     rank_of,
+    repairs,
+    rule_repairs,
 )
-from phytac_design.study.advice.design_evaluation import evaluate_design
-from phytac_design.study.advice.design_sensitivity import Sensitivity, sensitivities
-from phytac_design.study.advice.design_variables import ROW, choose, variables_of
-from phytac_design.study.advice.local_model import LocalModel
-from phytac_design.study.advice.repair import repairs, rule_repairs
-from phytac_design.study.advice.rows import (
-    RowSensitivity,
+from phytac_design.study.advice.design_evaluation import FIGURES, LIMITS, evaluate_design
+from phytac_design.study.advice.design_variables import (
+    ROW,
     as_explicit,
+    choose,
     named_rows,
-    row_sensitivities,
     row_variables,
     rows_of,
     suspects,
+    variables_of,
+)
+from phytac_design.study.advice.local_model import (
+    LocalModel,
+    RowSensitivity,
+    Sensitivity,
+    row_sensitivities,
+    sensitivities,
 )
 from phytac_shapes.errors import DesignError, PhytacError
 
@@ -90,23 +93,25 @@ def advise(
     try:
         check_design(design)
     except DesignError as error:
-        tester = ChangeTester(design, FAULTLESS, accuracy, seed, progress)
-        return _repair_rejected(design, error, only, tester, checks)
+        # All margins count.
+        faultless = {name: 0.0 if FIGURES[name].less else float("inf") for name in LIMITS}
+        tester = ChangeTester(Sensor(design), faultless, accuracy, seed, progress)
+        return _repair_rejected(error, only, tester, checks)
     progress("evaluating the design as it is")
     base = evaluate_design(design, accuracy, seed=seed)
-    variables = choose(variables_of(design, base.markers, base.stand_off_mm), list(only))
-    row = rows_of(base.markers, float(base.surface.domain[0, 1] - base.surface.domain[0, 0]))
+    variables = choose(variables_of(base.sensor), only)
+    row = rows_of(base.sensor)
     wanted = named_rows(only, row)
     if not only or "rows" in only:
         wanted |= set(suspects(base, row))
-    single = row_variables(base, row, sorted(wanted))
+    single = row_variables(base.sensor, row, sorted(wanted))
     model = LocalModel(base, accuracy)
-    slopes = sensitivities(model, base, variables, progress)
-    tester = ChangeTester(base.design, base.figures, accuracy, seed, progress, base.markers)
+    slopes = sensitivities(model, variables, progress)
+    tester = ChangeTester(base.sensor, base.figures, accuracy, seed, progress)
     if base.faults:
         tested = tester.test_all(repairs(model, [*single, *variables], progress), checks)
     else:
-        slopes += sensitivities(model, base, single, progress)
+        slopes += sensitivities(model, single, progress)
         changes, rejected = changes_of(base, slopes)
         tested = [*tester.test_all(changes, checks), *rejected]
     pieces = [one for one in tested if not one.reason]
@@ -114,7 +119,7 @@ def advise(
         design=design,
         figures=base.figures,
         slopes=slopes,
-        rows=row_sensitivities(model, base, row),
+        rows=row_sensitivities(model, row),
         pieces=sorted(pieces, key=lambda one: -rank_of(one.goal, one.gain)),
         tried=[one for one in tested if one.reason],
     )
@@ -124,12 +129,11 @@ def advise(
 class ChangeTester:
     """Applies changes to a design and evaluates the results against its figures ``before``."""
 
-    design: Design
+    sensor: Sensor
     before: dict[str, float]
     accuracy: Accuracy
     seed: int = 0
     progress: Progress = lambda _: None
-    markers: Markers | None = None
     listed: dict[str, float] = field(default_factory=dict)
 
     def test_all(self, changes: Sequence[Change], checks: int) -> list[Change]:
@@ -153,20 +157,20 @@ class ChangeTester:
         """The change with what it achieves."""
         self.progress(f"trying {change.words}")
         try:
-            design = change.variable.moved(self.design, change.amount)
+            design = change.variable.moved(self.sensor.design, change.amount)
             after = evaluate_design(design, self.accuracy, seed=self.seed).figures
         except PhytacError as error:
             return replace(change, reason=f"breaks a rule: {error}")
         before = self.before
-        if change.variable.kind == ROW and self.markers is not None:
+        if change.variable.kind == ROW:
             # Compare with the same layout as an explicit list.
             if not self.listed:
-                same = as_explicit(self.design, self.markers)
+                same = as_explicit(self.sensor)
                 self.listed = evaluate_design(same, self.accuracy, seed=self.seed).figures
             before = self.listed
         reason = broken_margin(before, after)
         gain, costs = float(not reason), tuple[str, ...]()
-        if change.goal != RULES:
+        if change.goal != "rules":
             gain, costs = gain_of(change.goal, before, after), costs_of(before, after)
         if not reason and gain < least_gain(change.goal) / 2.0:
             reason = f"does not help ({gain_words(change.goal, gain)})"
@@ -174,26 +178,15 @@ class ChangeTester:
 
 
 def _repair_rejected(
-    design: Design,
-    rule: DesignError,
-    only: Sequence[str],
-    tester: ChangeTester,
-    checks: int,
+    rule: DesignError, only: Sequence[str], tester: ChangeTester, checks: int
 ) -> Advice:
     """Advice for a design that a rule rejects: the smallest changes that satisfy it, evaluated."""
-    surface = design.surface()
     try:
-        markers = make_markers(design, surface)
+        variables = variables_of(tester.sensor)
     except DesignError:
         raise rule from None
-    stand_off: float | None
-    try:
-        stand_off = stand_off_mm(design, surface, cameras_of(design, surface)[0])
-    except DesignError:
-        given = design.camera.stand_off_mm
-        stand_off = None if given == "fit" else float(given)
-    variables = choose(variables_of(design, markers, stand_off), list(only))
-    tested = tester.test_all(rule_repairs(design, variables), checks)
+    design = tester.sensor.design
+    tested = tester.test_all(rule_repairs(design, choose(variables, only)), checks)
     return Advice(
         design=design,
         refused=str(rule),

@@ -1,6 +1,6 @@
 """Exact evaluation of a design, marker by marker; results are kept in the cache."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,17 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phytac_design.design.accuracy import Accuracy
-from phytac_design.design.field_groups import values_of
 from phytac_design.design.spec import Design
-from phytac_design.engine.cache import lookup, publish, stage_key
 from phytac_design.engine.stage import Context, Stage, write_arrays
 from phytac_design.layout import Markers
-from phytac_design.layout.cameras import cameras_of, stand_off_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.loaded_visibility import FUSED_PX
 from phytac_design.optics.visibility import FRACTION_MIN, best_of
 from phytac_design.rules.check import check_design
-from phytac_design.stages.loaded_views_stage import UNDERLOAD, see_pressed
+from phytac_design.stages.build import run_stages
+from phytac_design.stages.loaded_views_stage import UNDERLOAD
 from phytac_design.stages.resolution_stage import RESOLUTION, RIM_SHARE
 from phytac_design.study.search.fidelity_levels import views_at_rest
 from phytac_design.study.search.surrogate import FORCE_N, predict
@@ -87,23 +85,31 @@ class EvaluatedDesign:
         stated otherwise in the stages that make them.
     """
 
-    design: Design
-    surface: Surface
-    markers: Markers
+    sensor: Sensor
     figures: dict[str, float]
     views: Mapping[str, Any]
     bound: Mapping[str, Any]
     load: Mapping[str, Any]
 
     @property
+    def design(self) -> Design:
+        """The design itself."""
+        return self.sensor.design
+
+    @property
+    def surface(self) -> Surface:
+        """Its surface."""
+        return self.sensor.surface
+
+    @property
+    def markers(self) -> Markers:
+        """Its markers."""
+        return self.sensor.markers
+
+    @property
     def faults(self) -> int:
         """Markers that are hidden or fused, at rest or pressed, and one for too much crosstalk."""
         return faults_of(self.figures)
-
-    @property
-    def stand_off_mm(self) -> float:
-        """Stand-off of the first camera."""
-        return stand_off_mm(self.design, self.surface, cameras_of(self.design, self.surface)[0])
 
     def faulty(self) -> BoolArray:
         """Markers (n,) that are part of a fault."""
@@ -123,9 +129,9 @@ def faults_of(figures: Mapping[str, float]) -> int:
     return wrong + int(figures["crosstalk_px"] > LIMITS["crosstalk_px"])
 
 
-def middle_of(surface: Surface, markers: Markers) -> BoolArray:
+def middle_of(sensor: Sensor) -> BoolArray:
     """Receptors (n,) at middle heights, as in the stage ``resolution``."""
-    along = surface.unwrap(markers.uv)[:, 1]
+    along = sensor.surface.unwrap(sensor.markers.uv)[:, 1]
     share = (along - along.min()) / max(float(np.ptp(along)), 1e-9)
     middle = (share > RIM_SHARE) & (share < 1.0 - RIM_SHARE)
     return np.asarray(middle if middle.any() else np.ones_like(middle))
@@ -147,9 +153,8 @@ def force_figures(force_N: FloatArray, middle: BoolArray) -> dict[str, float]:
 
 def strain_of(sensor: Sensor) -> float:
     """Greatest bending strain at the greatest force, closed form, as in the level ``sampled``."""
-    design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    seen = np.ones(markers.count, dtype=np.bool_)
-    return float(predict(sensor, cameras_of(design, surface), seen).strain.max())
+    seen = np.ones(sensor.markers.count, dtype=np.bool_)
+    return float(predict(sensor, sensor.cameras, seen).strain.max())
 
 
 def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> EvaluatedDesign:
@@ -159,25 +164,27 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
     ------
     DesignError
         If the design breaks a rule.
+    NumericalError
+        If a contact moves nothing that a camera sees.
     """
     sensor = check_design(design)
-    surface, markers = sensor.surface, sensor.markers
-    context = Context(
-        design=design, accuracy=accuracy, seed=seed, progress=lambda _: None, scene=None
-    )
-    seen, views = _cached(
-        "advice-views",
-        [values_of(design, ("pictures",)), seed],
-        lambda folder: _view_at_rest(context, folder),
-    )
-    context.folders["views"] = seen
-    _, bound = _cached(
-        "advice-bound", _inputs(RESOLUTION, context), lambda folder: _bound(context, folder)
-    )
-    _, load = _cached(
-        "advice-load", _inputs(UNDERLOAD, context), lambda folder: _view_pressed(context, folder)
-    )
-    figures = force_figures(bound[f"force_N_{FORCE_N:g}"], middle_of(surface, markers)) | {
+    try:
+        context, _, _ = run_stages(
+            design,
+            (AT_REST, RESOLUTION, UNDERLOAD),
+            accuracy=accuracy,
+            seed=seed,
+            force=True,
+            progress=lambda _: None,
+        )
+    except np.linalg.LinAlgError:
+        raise NumericalError(
+            "contact-unobservable",
+            f"{design.name}: some contact moves no marker that a camera sees, so that its force "
+            "has no bound; see `phytac check` for what hides the markers",
+        ) from None
+    views, bound, load = (context.arrays(name) for name in ("views", "resolution", "underload"))
+    figures = force_figures(bound[f"force_N_{FORCE_N:g}"], middle_of(sensor)) | {
         "visible_least": float(views["visible_fraction"].min()),
         "gap_px": float(views["gap_same_colour_px"].min()),
         "load_visible_least": float(load["least_fraction"].min()),
@@ -189,60 +196,19 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
         "load_hidden": int(load["hidden"].max(initial=0)),
         "load_fused": int(load["fused"].max(initial=0)),
         "switch_unreadable": int(views["unreadable"].sum()),
-        "marker_count": markers.count,
+        "marker_count": sensor.markers.count,
     }
-    return EvaluatedDesign(design, surface, markers, figures, views, bound, load)
-
-
-def _inputs(stage: Stage, context: Context) -> Any:
-    """Everything that a stage's result depends on, the views included."""
-    settings = context.accuracy.as_dict()
-    fields = values_of(context.design, {*stage.design_fields, "pictures"})
-    return [fields, {name: settings[name] for name in stage.settings}, context.seed]
-
-
-def _cached(name: str, inputs: Any, compute: Callable[[Path], None]) -> tuple[Path, dict[str, Any]]:
-    """Folder of a result and its arrays, from the cache or computed now."""
-    key = stage_key(name, inputs)
-
-    def made(folder: Path) -> dict[str, Any]:
-        compute(folder)
-        return {"stage": name, "seconds": 0.0}
-
-    folder = lookup(name, key) or publish(name, key, made)
-    with np.load(folder / "arrays.npz") as data:
-        return folder, {name: data[name] for name in data.files}
+    return EvaluatedDesign(sensor, figures, views, bound, load)
 
 
 def _view_at_rest(context: Context, folder: Path) -> None:
-    design = context.design
-    each, views = views_at_rest(context.sensor, cameras_of(design, context.surface), context.seed)
+    tip_mm = context.markers.tip_mm
+    each, views = views_at_rest(context.sensor, context.sensor.cameras, context.seed)
     best = best_of(each)[0]
-    points = [
-        np.where(one.lost[:, None], context.markers.tip_mm, one.paint_point_mm) for one in each
-    ]
-    write_arrays(
-        folder,
-        asdict(best)
-        | views
-        | {"paint_points_mm": np.stack(points), "unreadable": best.switch_unreadable},
-    )
+    points = [np.where(one.lost[:, None], tip_mm, one.paint_point_mm) for one in each]
+    more = {"paint_points_mm": np.stack(points), "unreadable": best.switch_unreadable}
+    write_arrays(folder, asdict(best) | views | more)
 
 
-def _bound(context: Context, folder: Path) -> None:
-    try:
-        RESOLUTION.run(context, folder)
-    except np.linalg.LinAlgError:
-        raise NumericalError(
-            "contact-unobservable",
-            f"{context.design.name}: some contact moves no marker that a camera sees, so that "
-            "its force has no bound; see `phytac check` for what hides the markers",
-        ) from None
-
-
-def _view_pressed(context: Context, folder: Path) -> None:
-    with np.load(context.folders["views"] / "arrays.npz") as seen:
-        gap = np.minimum(seen["gap_same_colour_px"], seen["gap_other_colour_px"])
-        camera = seen["camera"]
-    uv, found, _ = see_pressed(context, gap, camera)
-    write_arrays(folder, {"uv": uv, **asdict(found)})
+AT_REST = Stage(name="views", design_fields=("pictures",), seeded=True, run=_view_at_rest)
+"""Visibility at rest alone, in place of the stage of that name."""

@@ -1,6 +1,9 @@
-"""Variables of a design: fields of the design file, with steps that a workshop can make."""
+"""Variables of a design: fields of the design file, with steps that a workshop can make.
 
-from collections.abc import Callable, Mapping
+Single rows of markers, or single markers, are variables too; they have no field of their own.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +11,10 @@ import numpy as np
 
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
+from phytac_design.layout.cameras import stand_off_mm
+from phytac_design.layout.sensor import Sensor
+from phytac_design.study.advice.design_evaluation import EvaluatedDesign
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 FREE, CHOICE, SIZE, COUNT, ROW = "free", "choice", "size", "count", "row"
@@ -95,7 +101,7 @@ def is_row(name: str) -> bool:
     return name.startswith("rows.") and name.removeprefix("rows.").isdecimal()
 
 
-def choose(variables: list[DesignVariable], only: list[str]) -> list[DesignVariable]:
+def choose(variables: Sequence[DesignVariable], only: Sequence[str]) -> list[DesignVariable]:
     """Variables of some names, or of some tables (``layout``, ``rows``); all if none is given.
 
     Raises
@@ -103,38 +109,30 @@ def choose(variables: list[DesignVariable], only: list[str]) -> list[DesignVaria
     DesignError
         If a name is neither.
     """
-    known = {name for one in variables for name in (one.name, one.name.partition(".")[0])}
+    names = [{one.name, one.name.partition(".")[0]} for one in variables]
     for name in only:
-        if name not in known | {"rows"} and not is_row(name):
+        if name not in {"rows"}.union(*names) and not is_row(name):
             listed = ", ".join(one.name for one in variables)
             raise DesignError(
                 "variable-unknown",
                 f"--only {name!r}: no such variable (this design has {listed}, rows, rows.0)",
             )
     if not only:
-        return variables
-    return [one for one in variables if {one.name, one.name.partition(".")[0]} & set(only)]
+        return list(variables)
+    return [one for one, own in zip(variables, names, strict=True) if own & set(only)]
 
 
-def variables_of(
-    design: Design, markers: Markers, stand_off_mm: float | None
-) -> list[DesignVariable]:
-    """All variables that a design has, with their values.
-
-    Parameters
-    ----------
-    stand_off_mm : float or None
-        Of its first camera; None where that is not known.
-    """
+def variables_of(sensor: Sensor) -> list[DesignVariable]:
+    """All variables that a design has, with their values."""
+    design = sensor.design
     camera, material, bar = design.camera, design.material, design.light.bar_radius_mm
     resin, lens = _rounded(0.05 * material.modulus_MPa), _rounded(0.02 * camera.focal_px)
+    layer = 0.125 * design.wall.thickness_mm
     out = [
-        _field(
-            design, "wall.thickness_mm", 0.05, 0.125 * design.wall.thickness_mm, "a printed layer"
-        ),
+        _field(design, "wall.thickness_mm", 0.05, layer, "a printed layer"),
         _field(design, "material.modulus_MPa", resin, 4.0 * resin, "another resin", CHOICE),
         *_heights(design),
-        *_layout(design, markers),
+        *_layout(design, sensor.markers.count),
         _field(design, "receptor.diameter_outer_mm", 0.1, 0.3, "two layers"),
     ]
     if design.receptor.band_marker_mm > 0.0:
@@ -142,9 +140,13 @@ def variables_of(
     if design.receptor.direction == "tilted":
         out.append(_field(design, "receptor.tilt_deg", 1.0, 4.0, "a degree"))
     out.append(_field(design, "camera.focal_px", lens, 5.0 * lens, "another lens", CHOICE))
-    if stand_off_mm is not None:
-        value = round(stand_off_mm, 2)
-        out.append(_field(design, "camera.stand_off_mm", 0.5, 2.0, "a spacer", value=value))
+    value: float | str
+    try:
+        value = round(stand_off_mm(design, sensor.surface, sensor.cameras[0]), 2)
+    except DesignError:  # one that breaks a rule
+        value = camera.stand_off_mm
+    if value != "fit":
+        out.append(_field(design, "camera.stand_off_mm", 0.5, 2.0, "a spacer", value=float(value)))
     if bar > 0.0:
         out.append(_field(design, "light.bar_radius_mm", 0.25, 0.5, "another bar", CHOICE))
     return out + _shape(design)
@@ -211,12 +213,12 @@ def _heights(design: Design) -> list[DesignVariable]:
     return out
 
 
-def _layout(design: Design, markers: Markers) -> list[DesignVariable]:
+def _layout(design: Design, count: int) -> list[DesignVariable]:
     layout = design.layout
     if layout.kind == "explicit":
         return []
     if layout.kind == "phyllotaxis":
-        step = max(1, round(0.02 * markers.count))
+        step = max(1, round(0.02 * count))
         return [_field(design, "layout.count", step, 2.0 * step, "markers", COUNT)]
     colours = len(layout.colours)
     out = [
@@ -254,3 +256,122 @@ def _shape(design: Design) -> list[DesignVariable]:
                 )
             )
     return out
+
+
+def rows_of(sensor: Sensor) -> IntArray:
+    """Row of each marker (n,).
+
+    Where the layout has none, markers of one u (to a millionth of the domain's span) are a row, or
+    each marker is its own.
+    """
+    markers = sensor.markers
+    if markers.in_rows:
+        return markers.row
+    u, span = markers.uv[:, 0], np.ptp(sensor.surface.domain[0])
+    order = np.argsort(u, kind="stable")
+    out = np.empty(len(u), dtype=np.int64)
+    out[order] = np.cumsum(np.concatenate([[0], np.diff(u[order]) > 1e-6 * span]))
+    return out if out.max() < len(u) / 2 else np.arange(len(u))
+
+
+def as_explicit(sensor: Sensor) -> Design:
+    """The same markers as an explicit list: only then can one row be changed.
+
+    Raises
+    ------
+    DesignError
+        If the list is not a valid layout.
+    """
+    layout, markers = sensor.design.layout, sensor.markers
+    if layout.kind == "explicit" and layout.position_heights_mm:
+        return sensor.design
+    return with_fields(sensor.design, _listed(sensor, markers.uv, markers.height_mm))
+
+
+def _listed(sensor: Sensor, uv: FloatArray, height_mm: FloatArray) -> Fields:
+    """Fields of a layout that lists its markers."""
+    design, markers = sensor.design, sensor.markers
+    colours = design.layout.colours
+    fields: dict[str, object] = {
+        "layout.kind": "explicit",
+        "layout.positions": uv.tolist(),
+        "layout.positions_csv": "",
+        "layout.position_colours": [colours[k] for k in markers.colour],
+        "layout.position_heights_mm": height_mm.tolist(),
+    }
+    regions = [region.model_dump(mode="json") for region in design.switch.regions]
+    for region in regions:
+        if region.get("rows"):
+            first, last = region.pop("rows")
+            inside = (markers.row >= first) & (markers.row <= last)
+            region["markers"] = np.flatnonzero(inside).tolist()
+    if regions:
+        fields["switch.regions"] = regions
+    return fields
+
+
+def row_variables(
+    sensor: Sensor, row: IntArray, wanted: Iterable[int], *, step_mm: float = 0.5
+) -> list[DesignVariable]:
+    """Heights and places of some rows; amounts are mm up, and mm away from the near end."""
+    markers = sensor.markers
+    u_per_mm = 1.0 / np.linalg.norm(sensor.surface.tangents(markers.uv)[:, 0], axis=1)
+    kind = "marker" if len(np.unique(row)) == markers.count else "row"
+    out = []
+    for number in wanted:
+        own, name = row == number, f"{kind} {number}"
+
+        def raised(amount: float, own: BoolArray = own) -> Fields:
+            height = np.where(own, np.maximum(markers.height_mm + amount, 0.05), markers.height_mm)
+            return _listed(sensor, markers.uv, np.asarray(np.round(height, 6)))
+
+        def shifted(amount: float, own: BoolArray = own, name: str = name) -> Fields:
+            u = markers.uv[:, 0] + np.where(own, amount * u_per_mm, 0.0)
+            if np.any(np.diff(u) < 0.0):
+                raise DesignError(
+                    "row-passes-neighbour",
+                    f"{name} would pass its neighbours (moved by {amount:g} mm); move it less",
+                )
+            uv = np.column_stack([u, markers.uv[:, 1]])
+            return _listed(sensor, uv, markers.height_mm)
+
+        least = float(markers.height_mm[own].min())
+        reach, why = 8.0 * step_mm, "half a millimetre"
+        for what, value, fields in (("height", least, raised), ("away", 0.0, shifted)):
+            full = f"rows.{name} {what}"
+            out.append(DesignVariable(full, "mm", value, step_mm, reach, why, fields, ROW))
+    return out
+
+
+def suspects(base: EvaluatedDesign, row: IntArray) -> list[int]:
+    """Up to three faulty rows, or an outlier by its gap, with their neighbours."""
+    worst = np.unique(row[base.faulty()])
+    last = int(row.max())
+    if len(worst) == 0:
+        gap = np.minimum(base.views["gap_same_colour_px"], base.load["least_gap_same_px"])
+        least = np.array([gap[row == k].min() for k in range(last + 1)])
+        k = int(least.argmin())
+        rest = np.delete(least, [n for n in (k - 1, k, k + 1) if 0 <= n <= last])
+        # An outlier's gap is below 0.8 of the least gap of the other rows.
+        worst = np.array([k] if len(rest) and least[k] < 0.8 * rest.min() else [], dtype=int)
+    if not 0 < len(worst) <= 3:
+        return []
+    near = np.unique(np.concatenate([worst - 1, worst, worst + 1]))
+    return [int(k) for k in near if 0 <= k <= last]
+
+
+def named_rows(only: Iterable[str], row: IntArray) -> set[int]:
+    """Rows given by number, as ``rows.3``.
+
+    Raises
+    ------
+    DesignError
+        If there is no such row.
+    """
+    found = {int(name.removeprefix("rows.")) for name in only if is_row(name)}
+    last = int(row.max())
+    if found and max(found) > last:
+        raise DesignError(
+            "row-out-of-range", f"--only rows.{max(found)}: this design has rows 0 to {last}"
+        )
+    return found

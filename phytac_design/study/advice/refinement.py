@@ -20,17 +20,12 @@ from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
 from phytac_design.study.advice.design_changes import broken_margin
 from phytac_design.study.advice.design_evaluation import LIMITS, EvaluatedDesign, evaluate_design
-from phytac_design.study.advice.design_sensitivity import GAPS, Sensitivity, sensitivities
 from phytac_design.study.advice.design_variables import FREE, choose, variables_of
-from phytac_design.study.advice.local_model import LocalModel
+from phytac_design.study.advice.local_model import GAPS, LocalModel, Sensitivity, sensitivities
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, PhytacError
 
 GOAL = "force_middle_N"
-GAP_RESERVE_px = 0.5
-"""Error of predicted gaps in a step, added to the least gap."""
-LEAST_GAIN = 0.01
-"""A step that gains less ends the refinement."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +56,7 @@ def refine(
     *,
     only: Sequence[str] = (),
     rounds: int = 6,
+    least_gain: float = 0.01,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> RefinedDesign:
@@ -73,6 +69,8 @@ def refine(
         and parts to buy.
     rounds : int
         Accepted steps at most.
+    least_gain : float
+        A step that gains a smaller share ends the refinement.
 
     Raises
     ------
@@ -91,36 +89,33 @@ def refine(
     for number in range(1, rounds + 1):
         progress(f"polish: round {number}, {GOAL} {here.figures[GOAL]:.4g} N")
         slopes = _slopes(here, accuracy, only, progress)
-        trust, tried, taken = 1.0, set(), None
-        for _ in range(4):
+        tried: set[tuple[float, ...]] = set()
+        for trust in (1.0, 0.5, 0.25, 0.125):
             amounts = step_of(here.figures, slopes, trust)
-            trust /= 2.0
-            key = tuple(np.round(amounts, 9))
             predicted = _predicted_gain(here.figures, slopes, amounts)
-            if predicted < LEAST_GAIN or key in tried:
+            if predicted < least_gain or tuple(amounts) in tried:
                 continue
-            tried.add(key)
+            tried.add(tuple(amounts))
             moved = {s.variable.name: float(a) for s, a in zip(slopes, amounts, strict=True) if a}
             progress(f"polish: trying {', '.join(f'{k} {v:+.3g}' for k, v in moved.items())}")
             gain, figures = 0.0, {}
             try:
-                after = evaluate_design(_apply(here.design, slopes, amounts), accuracy, seed=seed)
+                after = evaluate_design(_apply(here.design, slopes, moved), accuracy, seed=seed)
             except PhytacError as error:
                 reason = str(error)
             else:
                 figures = after.figures
                 gain = 1.0 - figures[GOAL] / here.figures[GOAL]
                 reason = broken_margin(here.figures, figures)
-                if not reason and gain < LEAST_GAIN:
+                if not reason and gain < least_gain:
                     reason = "gains too little"
             steps.append(Step(moved, predicted, gain, figures, reason))
             if not reason:
-                taken = after
+                here = after
                 break
-        if taken is None:
-            why = f"no step gains {100.0 * LEAST_GAIN:g} % within the margins"
+        else:
+            why = f"no step gains {100.0 * least_gain:g} % within the margins"
             break
-        here = taken
     name = f"{design.name}-polished"[-64:].lstrip("_.-")
     done = parse_design(here.design.model_dump(mode="json") | {"name": name}, name)
     return RefinedDesign(done, start.figures, here.figures, steps, why)
@@ -133,39 +128,44 @@ def _slopes(
     progress: Callable[[str], None],
 ) -> list[Sensitivity]:
     """Sensitivities to the variables that may change."""
-    variables = variables_of(here.design, here.markers, here.stand_off_mm)
-    if only:
-        variables = choose(variables, list(only))
-    else:
-        variables = [one for one in variables if one.kind == FREE]
+    variables = choose(variables_of(here.sensor), only)
+    variables = [one for one in variables if only or one.kind == FREE]
     # Heights that change together are here changed one by one.
     variables = [one for one in variables if "(all" not in one.name or len(variables) == 1]
-    slopes = sensitivities(LocalModel(here, accuracy), here, variables, progress)
+    slopes = sensitivities(LocalModel(here, accuracy), variables, progress)
     return [s for s in slopes if not s.stuck and np.isfinite(list(s.rate.values())).all()]
 
 
-def _apply(design: Design, slopes: Sequence[Sensitivity], amounts: FloatArray) -> Design:
+def _apply(design: Design, slopes: Sequence[Sensitivity], moved: dict[str, float]) -> Design:
     """Design with all variables changed."""
-    for slope, amount in zip(slopes, amounts, strict=True):
-        if amount:
-            design = slope.variable.moved(design, float(amount))
+    for slope in slopes:
+        if slope.variable.name in moved:
+            design = slope.variable.moved(design, moved[slope.variable.name])
     return design
 
 
-def step_of(figures: dict[str, float], slopes: Sequence[Sensitivity], trust: float) -> FloatArray:
-    """Whole steps (k,) of the variables that gain most and keep gaps and strain, as predicted."""
+def step_of(
+    figures: dict[str, float],
+    slopes: Sequence[Sensitivity],
+    trust: float,
+    *,
+    gap_reserve_px: float = 0.5,
+) -> FloatArray:
+    """Whole steps (k,) of the variables that gain most and keep gaps and strain, as predicted.
+
+    ``gap_reserve_px`` is the error of predicted gaps in a step, added to the least gap.
+    """
     if not slopes:
         return np.zeros(0)
     goal = np.array([slope.rate[GOAL] for slope in slopes])
     most = np.array([max(trust * s.variable.reach, s.variable.step) for s in slopes])
-    least_gap = LIMITS["gap_px"] + GAP_RESERVE_px
+    least_gap = LIMITS["gap_px"] + gap_reserve_px
     slack = [figures[gap] - min(figures[gap], least_gap) for gap in GAPS]
     slack.append(float(np.log(max(LIMITS["strain"] / figures["strain"], 1.0))))
     loss = np.array([[-slope.rate[gap] for slope in slopes] for gap in GAPS])
     loss = np.vstack([loss, [slope.rate["strain"] for slope in slopes]])
-    found = linprog(
-        goal, A_ub=loss, b_ub=slack, bounds=list(zip(-most, most, strict=True)), method="highs"
-    )
+    bounds = list(zip(-most, most, strict=True))
+    found = linprog(goal, A_ub=loss, b_ub=slack, bounds=bounds, method="highs")
     if not found.success:
         return np.zeros(len(slopes))
     steps = np.array([slope.variable.step for slope in slopes])

@@ -20,7 +20,7 @@ from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.scene import ALL_AT_ONCE, Scene
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.simulation.instance_shell import MARGIN, truth_mesh
 from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE
 from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING, place_spacing_mm, rings
@@ -28,11 +28,6 @@ from phytac_design.simulation.scenario.scene_scope import PRESSES_LEAST, Scope
 from phytac_design.stages.response_stage import SCENE_SAMPLES, samples_of
 from phytac_design.study.planning.unit_costs import PROBE_s
 from phytac_shapes import Surface
-
-PREDICTED_WITHIN = 2.0
-"""Factor between predicted and actual cost that the benchmark accepts; see docs/plan.md."""
-LOCAL_COARSENING = 2.5
-"""Element size of a local mesh far from the touched part, over that in it."""
 
 Amounts = dict[str, float]
 UnitCosts = Mapping[str, Mapping[str, float]]
@@ -94,26 +89,23 @@ class Workload:
         self.surface = design.surface()
         self.markers = make_markers(design, self.surface)
         self.repeats = repeats(self.surface, self.markers)
-        self.nodes = cache(self._nodes)
+        self.nodes = cache(lambda refine: len(self._mesh(refine).nodes_mm))
         self.truth_nodes = cache(
             lambda refine: len(truth_mesh(design, self.surface, refine).nodes_mm)
         )
         self.table_sectors = cache(self._table_sectors)
         self.place_rings = cache(self._place_rings)
 
-    def _nodes(self, refine: int) -> int:
+    def _mesh(self, refine: int) -> ShellMesh:
         thickness = self.design.wall.thickness_mm
-        mesh = marker_mesh(self.surface, self.markers, thickness_mm=thickness, refine=refine)
-        return len(mesh.nodes_mm)
+        return marker_mesh(self.surface, self.markers, thickness_mm=thickness, refine=refine)
 
     def _table_sectors(self) -> int:
         """Identical sectors of the tables of ``auto``: as ``repeats``, also on cuboids."""
         lattice = self.markers.lattice
         if self.design.shape.kind != "cuboid" or lattice is None:
             return self.repeats
-        thickness = self.design.wall.thickness_mm
-        mesh = marker_mesh(self.surface, self.markers, thickness_mm=thickness, refine=1)
-        if mesh.around is None:
+        if self._mesh(1).around is None:
             return 1
         width, depth, _ = np.ptp(self.surface.bounds_mm(), axis=0)
         square = abs(width - depth) < 1e-6 * width
@@ -313,8 +305,13 @@ def repeats(surface: Surface, markers: Markers) -> int:
     return lattice.columns if gap < 1e-6 * np.abs(here).max() else 1
 
 
-def local_mesh_share(design: Design, surface: Surface, scope: Scope) -> float:
-    """Nodes of a mesh that is fine in the touched part only, over those of one fine everywhere."""
+def local_mesh_share(
+    design: Design, surface: Surface, scope: Scope, *, coarsening: float = 2.5
+) -> float:
+    """Nodes of a mesh that is fine in the touched part only, over those of one fine everywhere.
+
+    ``coarsening`` is the element size far from the touched part, over that in it.
+    """
     if any(surface.poles):
         return 1.0
     region, span = scope.touched, np.ptp(surface.domain, axis=1)
@@ -328,5 +325,5 @@ def local_mesh_share(design: Design, surface: Surface, scope: Scope) -> float:
         part = float(region.high[axis] - region.low[axis]) % float(span[axis])
         fine = part / float(span[axis])
         fine += 2.0 * margin / (float(np.sqrt(metric[axis, axis])) * float(span[axis]))
-        share *= min(fine + (1.0 - fine) / LOCAL_COARSENING, 1.0)
+        share *= min(fine + (1.0 - fine) / coarsening, 1.0)
     return share

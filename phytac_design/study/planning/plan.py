@@ -38,12 +38,6 @@ LOST = {
     "report": "no report page",
 }
 """What is missing without a stage."""
-MESH_ERROR = 0.2
-"""Error of a force by a mesh of one element per marker pitch, as a share of it; it falls with the
-square of their number. Set so that predictions cover the worst of 8 presses of `fingertip` on
-cylinder60 (0.46 %) and on grip (1.3 %), and of 10 of `grip5` on cylinder60 (1.0 %)."""
-TABLE_ERROR = 0.002
-"""Error of `auto` between the places of its tables, at 0.55 of the patches' radius."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,16 +199,20 @@ def predicted_error(resolved: Resolved) -> dict[str, float]:
     """Relative force error of `auto` in the regions, without noise: its parts and the total.
 
     Linear theory has the error of the pilot, with its safety factor; a series of k powers of the
-    force about the k-th power of that error, as the terms of a geometric series have.
+    force about the k-th power of that error, as the terms of a geometric series have. The error of
+    the mesh is set so that predictions cover the worst of 8 presses of `fingertip` on cylinder60
+    (0.46 %) and on grip (1.3 %), and of 10 of `grip5` on cylinder60 (1.0 %).
     """
+    mesh = 0.2  # at one element per marker pitch; it falls with the square of their number
+    table = 0.002  # of `auto` between the places of its tables, at 0.55 of the patches' radius
     off, accuracy = min(resolved.linear_error, 1.0), resolved.accuracy
     orders = accuracy.place_orders
     if "places" not in {stage.name for stage in resolved.stages}:
         return {}
     parts = {
         "theory": off if orders == 1 else (off / LINEAR_ERROR_SAFETY) ** orders,
-        "mesh": MESH_ERROR / accuracy.refine**2,
-        "table": TABLE_ERROR * (accuracy.place_share / 0.55) ** 3,
+        "mesh": mesh / accuracy.refine**2,
+        "table": table * (accuracy.place_share / 0.55) ** 3,
     }
     return parts | {"force": sum(value**2 for value in parts.values()) ** 0.5}
 

@@ -8,7 +8,6 @@ from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.scene import ContactSection, Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage
-from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
 from phytac_design.mechanics.meshing.mesh import marker_size_mm, plain_mesh
@@ -16,17 +15,15 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.simulation.scenario.scene_scope import Scope, windows_of
 from phytac_design.stages import STAGES
-from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray
 from phytac_shapes.errors import DesignError
 
-FABRICATION = ("shell", "step", "switch", "hardware", "mold", "kit", "printing", "bench")
 STAGES_OF: dict[str, tuple[str, ...]] = {
     "views": ("views",),
     "visibility": ("views",),
     "underload": ("underload",),
     "resolution": ("resolution",),
-    "fabrication": FABRICATION,
+    "fabrication": ("shell", "step", "switch", "hardware", "mold", "kit", "printing", "bench"),
     "shell": ("shell", "step"),
     "mesh": ("mesh",),
     "decoder": ("decoder",),
@@ -72,8 +69,6 @@ class Resolved:
         In order, with what they read from.
     scope : Scope or None
         Part of the surface.
-    surface, markers : Surface, Markers
-        Of the design.
     in_play : (n,) bool
         Receptors that contacts can trip.
     linear_error : float
@@ -88,8 +83,6 @@ class Resolved:
     accuracy: Accuracy
     stages: tuple[Stage, ...]
     scope: Scope | None
-    surface: Surface
-    markers: Markers
     in_play: BoolArray
     linear_error: float
     why: dict[str, str] = field(default_factory=dict)
@@ -125,18 +118,17 @@ def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
     )
     estimator = _estimator(design, scene, why)
     scene = scene.model_copy(update={"contacts": contacts, "estimator": estimator})
-    surface = design.surface()
-    markers = make_markers(design, surface)
+    sensor = Sensor(design)
     scope = None
-    in_play = np.ones(markers.count, dtype=np.bool_)
+    in_play = np.ones(sensor.markers.count, dtype=np.bool_)
     if scene.regions:
         scope = Scope(
-            surface=surface,
-            windows=windows_of(surface, scene.regions),
+            surface=sensor.surface,
+            windows=windows_of(sensor.surface, scene.regions),
             reach_mm=training.patch_radius_max_mm,
             footprint_mm=design.switch.footprint_diameter_mm / 2.0,
         )
-        in_play = scope.in_play(markers)
+        in_play = scope.in_play(sensor.markers)
         if not in_play.any():
             raise DesignError(
                 "scene-without-receptors",
@@ -146,7 +138,7 @@ def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
     names = {stage.name for stage in stages}
     off = float("nan")
     if names & {"places", "underload"}:
-        off = linear_error(Sensor.of(design, surface, markers), scope)
+        off = linear_error(sensor, scope)
         accuracy = _theory(accuracy, scene, off, why)
     return Resolved(
         design=design,
@@ -154,8 +146,6 @@ def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
         accuracy=accuracy,
         stages=stages,
         scope=scope,
-        surface=surface,
-        markers=markers,
         in_play=in_play,
         linear_error=off,
         why=why,

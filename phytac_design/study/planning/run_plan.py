@@ -24,9 +24,6 @@ from phytac_design.study.planning.plan import BuildPlan
 from phytac_shapes.arrays import FloatArray
 
 Progress = Callable[[str], None]
-PLAN_FILE = "report/plan.json"
-EVEN_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
-"""Steps of an even additive sequence in the plane: powers of 1/p, p³ = p + 1."""
 
 
 def run_plan(
@@ -71,7 +68,7 @@ def run_plan(
     context.folders.update(built.folders)
     seconds = {name: built.timing_s[name] for name in built.ran}
     done = audit(plan, context, ran=seconds, used_s=used, errors=errors, progress=progress)
-    path = out / PLAN_FILE
+    path = out / "report" / "plan.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps(finite(plan.as_dict() | {"audit": done}), indent=1, ensure_ascii=False)
     path.write_text(text + "\n", encoding="utf-8")
@@ -117,13 +114,15 @@ def reference_presses(
     """
     design, surface, markers = context.design, context.surface, context.markers
     training, scope = design.training, scope_of(context)
-    uv = by_area(surface, np.mod(0.5 + np.arange(1, 4097)[:, None] * EVEN_STEPS, 1.0))
+    # An even additive sequence in the plane: powers of 1/p, p³ = p + 1.
+    steps = np.array([0.7548776662466927, 0.5698402909980532])
+    uv = by_area(surface, np.mod(0.5 + np.arange(1, 4097)[:, None] * steps, 1.0))
     uv = uv[surface.sensing(uv)]
     if scope is not None:
         uv = uv[scope.holds(uv)]
     uv = uv[:count]
     low, high = max(training.force_min_N, training.force_max_N / 2.0), training.force_max_N
-    share = np.mod(0.5 + np.arange(len(uv)) * EVEN_STEPS[0], 1.0)
+    share = np.mod(0.5 + np.arange(len(uv)) * steps[0], 1.0)
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     contacts = Contacts.flat(
         sample=np.arange(len(uv)),

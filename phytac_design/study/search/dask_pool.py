@@ -20,11 +20,15 @@ from phytac_design.study.search.successive_halving import (
 )
 from phytac_shapes.errors import InputError, MissingPartError
 
-QUIET = {"distributed.admin.tick.interval": "500ms", "distributed.worker.profile.enabled": False}
-"""Dask's own monitoring takes some 3 % of each process's time by default."""
-WORKER_ENVIRONMENT = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS), "1"
-) | {f"DASK_{name.upper().replace('.', '__')}": str(value) for name, value in QUIET.items()}
+WORKER_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    THREADS: "1",
+    # Dask's own monitoring takes some 3 % of each process's time by default.
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+}
 
 
 def _libraries() -> tuple[Any, Any]:
@@ -57,8 +61,6 @@ class DaskPool(SerialPool):
         Of a running scheduler, as ``tcp://host:8786``.
     say : callable
         Receives messages about waiting.
-    timeout_s : float
-        How long to wait for a cluster's first worker.
 
     Raises
     ------
@@ -67,26 +69,24 @@ class DaskPool(SerialPool):
         with another version of the program.
     """
 
+    connect_s, workers_s = 10.0, 120.0
+    """How long to wait for the scheduler, and for its first worker."""
+
     def __init__(
-        self,
-        *,
-        workers: int = 0,
-        address: str = "",
-        say: Callable[[str], None] = lambda _: None,
-        timeout_s: float = 120.0,
+        self, *, workers: int = 0, address: str = "", say: Callable[[str], None] = lambda _: None
     ) -> None:
         self.dask, self.library = _libraries()
         self.cluster: Any = None
         self.address = address
         try:
-            with self.dask.config.set(QUIET):
+            with self.dask.config.set({"distributed.admin.tick.interval": "500ms"}):
                 if not address:
                     self.cluster = self._start(workers)
                     self.address = self.cluster.scheduler_address
                 self.client = self._connect()
             if not self.client.scheduler_info(n_workers=-1)["workers"]:
                 say(f"waiting for workers of {self.address} …")
-            self._check_workers(timeout_s)
+            self._check_workers()
         except BaseException:
             if self.cluster is not None:
                 self.cluster.close()
@@ -113,7 +113,7 @@ class DaskPool(SerialPool):
 
     def _connect(self) -> Any:
         try:
-            return self.library.Client(self.address, timeout=10.0, set_as_default=False)
+            return self.library.Client(self.address, timeout=self.connect_s, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(
@@ -122,10 +122,10 @@ class DaskPool(SerialPool):
                 "use --workers. Completed candidates are kept",
             ) from None
 
-    def _check_workers(self, timeout_s: float) -> None:
+    def _check_workers(self) -> None:
         """Wait for a worker; reject those that run another version of the program."""
         try:
-            self.client.wait_for_workers(1, timeout=timeout_s)
+            self.client.wait_for_workers(1, timeout=self.workers_s)
         except (TimeoutError, OSError):
             raise InputError(
                 "scheduler-without-workers",

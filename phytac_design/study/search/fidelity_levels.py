@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +40,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
 Measures = dict[str, float]
-_SNAP_FORCES_N: dict[str, float] = {}
-"""Solved snap forces by their inputs; few differ in a study."""
 
 
 @dataclass
@@ -202,7 +200,6 @@ def exact(candidate: Candidate) -> Measures:
 
 def switch(candidate: Candidate) -> Measures:
     """Bowls for the design's thresholds, solved; equal ones once in a process."""
-    from phytac_design.mechanics.switch.design import design_switch
     from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
     from phytac_design.mechanics.switch.switch_space import Tolerance
 
@@ -213,11 +210,16 @@ def switch(candidate: Candidate) -> Measures:
     rubber, space = rubber_of(design), space_of(design)
     worst = 0.0
     for force in np.unique(thresholds_N(design, candidate.sensor.markers)).tolist():
-        key = repr((force, rubber, space, tolerance))
-        if key not in _SNAP_FORCES_N:
-            _SNAP_FORCES_N[key] = design_switch(force, rubber, space, tolerance).snap.limit_N
-        worst = max(worst, abs(_SNAP_FORCES_N[key] / force - 1.0))
+        worst = max(worst, abs(_snap_force_N(force, rubber, space, tolerance) / force - 1.0))
     return {"switch_force_error": worst}
+
+
+@cache
+def _snap_force_N(force_N: float, rubber: Any, space: Any, tolerance: Any) -> float:
+    """Solved snap force of a bowl; few differ in a study."""
+    from phytac_design.mechanics.switch.design import design_switch
+
+    return design_switch(force_N, rubber, space, tolerance).snap.limit_N
 
 
 def _context(candidate: Candidate, folder: Path) -> Context:

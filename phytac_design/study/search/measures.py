@@ -38,8 +38,6 @@ class Measure:
     high: float = float("inf")
 
 
-_BOUND = "Cramér-Rao bound of force at 10 N"
-_PLACE = "bound of place at 10 N, the worse axis"
 _TABLE = {
     "rules": (
         ("marker_count", "", "markers"),
@@ -57,9 +55,9 @@ _TABLE = {
         ("sampled_hidden", "", "markers of which less than half is visible, by those rays"),
         ("sampled_gap_px", "px", "least distance of painted outlines of one colour in the image"),
         ("density_least_per_cm2", "/cm²", "least local density"),
-        ("surrogate_force_sd_N", "N", f"{_BOUND}, shallow shell; median"),
-        ("surrogate_force_sd_worst_N", "N", f"{_BOUND}, shallow shell; worst of the receptors"),
-        ("surrogate_place_sd_mm", "mm", f"{_PLACE}, shallow shell; median"),
+        ("surrogate_force_sd_N", "N", "{bound}, shallow shell; median"),
+        ("surrogate_force_sd_worst_N", "N", "{bound}, shallow shell; worst of the receptors"),
+        ("surrogate_place_sd_mm", "mm", "{place}, shallow shell; median"),
         ("surrogate_dent_mm", "mm", "deepest dent under the greatest force, linear shallow shell"),
         ("surrogate_strain", "", "greatest bending strain under that force, shallow shell"),
     ),
@@ -72,9 +70,9 @@ _TABLE = {
     ),
     "switch": (("switch_force_error", "", "largest relative error of the solved snap forces"),),
     "mechanics": (
-        ("force_sd_N", "N", f"{_BOUND}, finite elements; median"),
-        ("force_sd_worst_N", "N", f"{_BOUND}, finite elements; worst receptor"),
-        ("place_sd_mm", "mm", f"{_PLACE}, finite elements; median"),
+        ("force_sd_N", "N", "{bound}, finite elements; median"),
+        ("force_sd_worst_N", "N", "{bound}, finite elements; worst receptor"),
+        ("place_sd_mm", "mm", "{place}, finite elements; median"),
     ),
     "load": (
         ("load_hidden", "", "markers hidden by the worst press at the design's greatest force"),
@@ -105,15 +103,17 @@ _PROXIES = {
     "force_error": "force_sd_N",
     "force_mae_N": "force_sd_N",
 }
-_FRACTIONS = ("sampled_visible_least", "visible_least")
 MEASURES = {
     name: Measure(
         name=name,
         rung=level,
         unit=unit,
-        doc=doc,
+        doc=doc.format(
+            bound="Cramér-Rao bound of force at 10 N",
+            place="bound of place at 10 N, the worse axis",
+        ),
         proxy=_PROXIES.get(name, ""),
-        high=1.0 if name in _FRACTIONS else float("inf"),
+        high=1.0 if name.endswith("visible_least") else float("inf"),
     )
     for level, measures in _TABLE.items()
     for name, unit, doc in measures

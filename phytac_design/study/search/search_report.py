@@ -19,9 +19,6 @@ from phytac_design.study.search.successive_halving import OK
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import OutputError
 
-MIN_ROWS = 8
-"""Rows below which importance and agreement are not computed."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Results:
@@ -83,7 +80,7 @@ def importance(values: FloatArray, of: FloatArray) -> float:
     explain by chance (Archer, Saltelli, Sobol 1997; epsilon squared).
     """
     n, bins = len(values), 12
-    if n < MIN_ROWS or float(np.ptp(values)) == 0.0:
+    if n < 8 or float(np.ptp(values)) == 0.0:
         return 0.0
     levels, group = np.unique(of, return_inverse=True)
     if len(levels) > bins:
@@ -110,7 +107,7 @@ def agreement(results: Results) -> list[dict[str, Any]]:
             continue
         pair = np.stack([results.columns[earlier], results.columns[name]])
         pair = pair[:, np.isfinite(pair).all(axis=0)]
-        if pair.shape[1] < MIN_ROWS or float(np.ptp(pair, axis=1).min()) == 0.0:
+        if pair.shape[1] < 8 or float(np.ptp(pair, axis=1).min()) == 0.0:
             continue
         out.append(
             {

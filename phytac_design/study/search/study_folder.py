@@ -24,7 +24,6 @@ from phytac_design.study.search.successive_halving import Outcome, Task, spec_of
 from phytac_shapes.errors import DesignError, InputError, OutputError, cause_of
 
 STUDY, RESULTS, PARTS, OPEN = "study.json", "results.parquet", "parts", "open.jsonl"
-FACTS = ("status", "rung", "reason", "violation", "design")
 
 
 @contextmanager
@@ -42,6 +41,9 @@ def _writing(folder: Path) -> Iterator[None]:
 
 class Store:
     """The folder of a study, locked by one process."""
+
+    facts = ("status", "rung", "reason", "violation", "design")
+    """Fields of an outcome that are columns."""
 
     def __init__(self, folder: Path, study: Study, space: DesignSpace, kind: str) -> None:
         self.folder, self.study = folder, study
@@ -105,7 +107,8 @@ class Store:
             columns.append((axis.field, text if words else integer if axis.integer else real))
         columns += [(name, real) for name in measures_up_to(self.study.levels)]
         columns += [
-            (name, real if name == "violation" else text) for name in (*FACTS, "code", "version")
+            (name, real if name == "violation" else text)
+            for name in (*self.facts, "code", "version")
         ]
         columns += [(f"seconds.{level}", real) for level in self.study.levels]
         return self.arrow.schema(columns)
@@ -128,7 +131,7 @@ class Store:
             "trial": trial,
             **params,
             **outcome.measures,
-            **{name: getattr(outcome, name) for name in FACTS},
+            **{name: getattr(outcome, name) for name in self.facts},
             "code": code_hash()[:16],
             "version": metadata.version("phytac-design"),
             **{f"seconds.{level}": value for level, value in outcome.seconds.items()},

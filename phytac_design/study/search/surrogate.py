@@ -30,8 +30,6 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 
 FORCE_N = 10.0
 """Force at which bounds are stated."""
-WAVES = 36
-"""Waves along and around."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,14 +157,14 @@ class Deflection:
         return max(abs(along), abs(around))
 
 
-def waves_along(length: float, x: FloatArray, waves: int = WAVES) -> tuple[FloatArray, FloatArray]:
+def waves_along(length: float, x: FloatArray, waves: int = 36) -> tuple[FloatArray, FloatArray]:
     """Sines of a face's waves along at x (n,), and their slopes, (n, m) each."""
     a = np.pi * np.arange(1.0, waves + 1.0) / length
     return np.sin(np.outer(x, a)), np.cos(np.outer(x, a)) * a
 
 
 def deflection_under_disc(
-    wall: Wall, flat: Flat, x: float, radius_mm: float, waves: int = WAVES
+    wall: Wall, flat: Flat, x: float, radius_mm: float, waves: int = 36
 ) -> Deflection:
     """Deflection under a disc of a radius at length x, 1 N inward."""
     a: FloatArray = np.pi * np.arange(1.0, waves + 1.0) / flat.length

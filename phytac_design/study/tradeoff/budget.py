@@ -29,32 +29,29 @@ GROUPS = (
     ("frames", "report"),
 )
 """Stages that run together; their settings are fixed before each group."""
-DRAFT, STANDARD, FINE = (PRESETS[name] for name in ("draft", "standard", "fine"))
-COARSE = replace(DRAFT, refine=4, place_orders=3, cad_tolerance_mm=0.02, frames=10)
-LEVELS: tuple[Accuracy, ...] = (
-    replace(
-        DRAFT,
-        refine=2,
-        place_share=1.2,
-        press_places=4,
-        cad_tolerance_mm=0.1,
-        sample_share=0.1,
-        frames=2,
-    ),
-    DRAFT,
-    replace(DRAFT, place_orders=3),
-    COARSE,
-    replace(COARSE, press_places=20, truth_refine=7, frames=20),
-    replace(STANDARD, place_share=0.55, press_places=20, truth_refine=7, frames=30),
-    STANDARD,
-    replace(STANDARD, refine=5, place_share=0.55, press_places=60, truth_refine=11, frames=75),
-    FINE,
-)
+
+
+def _levels() -> tuple[Accuracy, ...]:
+    draft, standard, fine = (PRESETS[name] for name in ("draft", "standard", "fine"))
+    coarse = replace(draft, refine=4, place_orders=3, cad_tolerance_mm=0.02, frames=10)
+    few = {"place_share": 1.2, "press_places": 4, "sample_share": 0.1, "frames": 2}
+    looser = {"place_share": 0.55, "press_places": 20, "truth_refine": 7, "frames": 30}
+    finer = {"place_share": 0.55, "press_places": 60, "truth_refine": 11, "frames": 75}
+    return (
+        replace(draft, refine=2, cad_tolerance_mm=0.1, **few),
+        draft,
+        replace(draft, place_orders=3),
+        coarse,
+        replace(coarse, press_places=20, truth_refine=7, frames=20),
+        replace(standard, **looser),
+        standard,
+        replace(standard, refine=5, **finer),
+        fine,
+    )
+
+
+LEVELS = _levels()
 """Settings from the cheapest to the finest."""
-MARGIN = 1.08
-"""Factor on the time of stages that are still to run."""
-PROBE_WEIGHT_s = 4.0
-"""Seconds of measured stages that the machine's probe counts as."""
 
 
 @dataclass(kw_only=True)
@@ -71,6 +68,10 @@ class BudgetPlan:
         Seconds of this machine over the cost model's.
     setting : Accuracy
         Settings that are fixed; the others are of the first plan.
+    margin : float
+        Factor on the time of stages that are still to run.
+    probe_weight_s : float
+        Seconds of measured stages that the machine's probe counts as.
     """
 
     work: Workload
@@ -79,6 +80,8 @@ class BudgetPlan:
     begin: float
     factor: float
     setting: Accuracy = LEVELS[0]
+    margin: float = 1.08
+    probe_weight_s: float = 4.0
 
     def seconds(self, setting: Accuracy) -> dict[str, float]:
         """Predicted wall seconds of each stage; 0 for those in the cache."""
@@ -104,19 +107,15 @@ def choose_budget(
     """
     if not 0.0 < budget_s < float("inf"):
         raise DesignError("budget-invalid", f"the budget must be above 0 s (got {budget_s:g} s)")
+    begin = time.perf_counter()
     plan = BudgetPlan(
-        work=Workload(design),
-        budget_s=budget_s,
-        seed=seed,
-        begin=time.perf_counter(),
-        factor=machine_factor(),
+        work=Workload(design), budget_s=budget_s, seed=seed, begin=begin, factor=machine_factor()
     )
     # Cached results may make a finer level cheaper than the first.
     each = [plan.seconds(level) for level in LEVELS]
     total = [sum(seconds.values()) for seconds in each]
-    fitting = [k for k, seconds in enumerate(total) if MARGIN * seconds <= budget_s]
     cheapest = total.index(min(total))
-    if not fitting and total[cheapest] > budget_s:
+    if total[cheapest] > budget_s:
         parts = each[cheapest]
         costly = sorted(parts, key=parts.__getitem__)[-3:][::-1]
         listed = ", ".join(f"{name} {parts[name]:.1f} s" for name in costly)
@@ -126,6 +125,7 @@ def choose_budget(
             f"take {total[cheapest]:.0f} s here ({listed}); allow that, or build some stages "
             "with --only",
         )
+    fitting = [k for k, seconds in enumerate(total) if plan.margin * seconds <= budget_s]
     chosen = fitting[-1] if fitting else cheapest
     plan.setting = LEVELS[chosen]
     return plan, each[chosen]
@@ -154,7 +154,7 @@ def run_budget(plan: BudgetPlan, *, force: bool, progress: Progress) -> dict[str
         )
         ran |= {name: timing[name] for name in done}
         modelled += sum(model[name] for name in done)
-        weight = PROBE_WEIGHT_s
+        weight = plan.probe_weight_s
         plan.factor = (weight * prior + sum(ran.values())) / (weight + modelled)
     return ran
 
@@ -170,7 +170,7 @@ def _replanned(plan: BudgetPlan, number: int) -> Accuracy:
     for level in reversed(LEVELS):
         setting = replace(plan.setting, **{name: getattr(level, name) for name in open_fields})
         seconds = plan.seconds(setting)
-        spent = MARGIN * sum(seconds[name] for name in ahead)
+        spent = plan.margin * sum(seconds[name] for name in ahead)
         if spent <= left_s:
             return setting
         tried.append((spent, setting))

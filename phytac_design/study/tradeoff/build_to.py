@@ -59,7 +59,28 @@ def build_to(
         raise DesignError("options-exclusive", "give a tolerance or a budget, and not both")
     check_design(design)
     if budget_s is not None:
-        return _within_time(design, out, budget_s, seed=seed, force=force, progress=progress)
+        plan, seconds = choose_budget(design, budget_s, seed=seed)
+        first = plan.setting
+        ran = run_budget(plan, force=force, progress=progress)
+        result = build(
+            design, out, accuracy=plan.setting, seed=seed, force=force, progress=progress
+        )
+        result = replace(
+            result,
+            ran=tuple(name for name in result.timing_s if name in ran),
+            cached=tuple(name for name in result.timing_s if name not in ran),
+            seconds=time.perf_counter() - plan.begin,
+        )
+        choice = Choice(
+            accuracy=plan.setting,
+            quantity="time",
+            wanted=budget_s,
+            predicted_error=None,
+            predicted_s=seconds,
+            achieved_s=ran,
+        )
+        write_audit(out, choice, result.seconds, first_plan=first.as_dict())
+        return result, choice
     error = ForceError(design)
     choice = choose_tolerance(design, tolerance or 0.0, of=of, error=error, progress=progress)
     result = build(design, out, accuracy=choice.accuracy, seed=seed, force=force, progress=progress)
@@ -70,31 +91,6 @@ def build_to(
         achieved_error=achieved(choice, error),
     )
     write_audit(out, choice, result.seconds)
-    return result, choice
-
-
-def _within_time(
-    design: Design, out: Path, budget_s: float, *, seed: int, force: bool, progress: Progress
-) -> tuple[BuildResult, Choice]:
-    plan, seconds = choose_budget(design, budget_s, seed=seed)
-    first = plan.setting
-    ran = run_budget(plan, force=force, progress=progress)
-    result = build(design, out, accuracy=plan.setting, seed=seed, force=force, progress=progress)
-    result = replace(
-        result,
-        ran=tuple(name for name in result.timing_s if name in ran),
-        cached=tuple(name for name in result.timing_s if name not in ran),
-        seconds=time.perf_counter() - plan.begin,
-    )
-    choice = Choice(
-        accuracy=plan.setting,
-        quantity="time",
-        wanted=budget_s,
-        predicted_error=None,
-        predicted_s=seconds,
-        achieved_s=ran,
-    )
-    write_audit(out, choice, result.seconds, first_plan=first.as_dict())
     return result, choice
 
 

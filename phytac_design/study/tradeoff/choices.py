@@ -14,20 +14,14 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.study.tradeoff.force import ForceError, fit_forces, rms
 from phytac_shapes.arrays import FloatArray
 
-LOOPS = 200
-"""Fits of each contact that the tables' precision is timed with."""
-
 
 def use(design: Design, name: str, value: Any) -> dict[str, Any]:
-    """Seconds and error of a choice; see :data:`knobs.SETTINGS` for names and values."""
+    """Seconds and error of a choice; see :data:`settings.SETTINGS` for names and values."""
     choices: dict[str, Callable[[Design, Any], dict[str, Any]]] = {
         "image_size": _image_size,
-        "visibility": _visibility,
-        "facets": _facets,
         "displacement": _displacement,
         "route": _route,
         "estimator": _estimator,
-        "precision": _precision,
     }
     return choices[name](design, value)
 
@@ -39,48 +33,21 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, dict[str, Any]]:
     return found, spent
 
 
-def _view(
-    design: Design, *, facets: float = 1.0, sampled: bool = False
-) -> tuple[FloatArray, FloatArray]:
-    """Visible fraction (n,) and centroid (n, 2) px of every marker at rest, by the first camera."""
-    from phytac_design.layout import make_markers
-    from phytac_design.layout.cameras import cameras_of, tolerance_mm
-    from phytac_design.optics.raster import pixels_alone, rasterise
+def _centroids(design: Design) -> FloatArray:
+    """Centroid (n, 2) px of every marker at rest, by the first camera."""
+    from phytac_design.layout.cameras import tolerance_mm
+    from phytac_design.optics.raster import rasterise
     from phytac_design.optics.render_scene import build_scene, paint_owner
-    from phytac_design.optics.sampled_visibility import sampled_fraction
     from phytac_design.simulation.imaging.nominal_view import owner_centroids
 
-    surface = design.surface()
-    markers = make_markers(design, surface)
-    camera = cameras_of(design, surface)[0]
-    tolerance = facets * tolerance_mm(camera, markers)
-    scene = build_scene(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
-    if sampled:
-        return sampled_fraction(scene, camera).fraction, np.full((markers.count, 2), np.nan)
-    owner = paint_owner(rasterise(scene, camera).part)
-    seen = np.bincount(owner[owner >= 0], minlength=markers.count)
-    alone = pixels_alone(scene, camera)
-    fraction = np.divide(seen, alone, out=np.zeros(markers.count), where=alone > 0)
-    return fraction, owner_centroids(owner, markers.count)
-
-
-def _centroids(
-    design: Design,
-    finest: tuple[FloatArray, FloatArray],
-    *,
-    pixels: float = 1.0,
-    facets: float = 1.0,
-) -> dict[str, Any]:
-    """Centroid errors of a view, in pixels of the finest; ``pixels`` is its relative image size."""
-    _view(design, facets=facets)  # compiles
-    (fraction, centroid_px), spent = _timed(lambda: _view(design, facets=facets))
-    gap = (centroid_px + 0.5) / pixels - 0.5 - finest[1]
-    gap = np.linalg.norm(gap[np.isfinite(gap).all(axis=1)], axis=1)
-    worst = float(np.abs(fraction - finest[0]).max())
-    return spent | {"error": rms(gap), "worst_fraction": worst}
+    sensor = Sensor(design)
+    camera = sensor.cameras[0]
+    scene = build_scene(sensor, tolerance_mm=tolerance_mm(camera, sensor.markers))
+    return owner_centroids(paint_owner(rasterise(scene, camera).part), sensor.markers.count)
 
 
 def _image_size(design: Design, value: float) -> dict[str, Any]:
+    """Centroid errors of a smaller image, in pixels of the design's own."""
     camera = design.camera
     update = {
         "width_px": round(camera.width_px * value),
@@ -88,37 +55,26 @@ def _image_size(design: Design, value: float) -> dict[str, Any]:
         "focal_px": camera.focal_px * value,
     }
     smaller = design.model_copy(update={"camera": camera.model_copy(update=update)})
-    return _centroids(smaller, _view(design), pixels=value)
-
-
-def _visibility(design: Design, value: str) -> dict[str, Any]:
-    finest, _ = _view(design)
-    _view(design, sampled=value == "sampled")  # compiles
-    found, spent = _timed(lambda: _view(design, sampled=value == "sampled")[0])
-    return spent | {"error": rms(found - finest)}
-
-
-def _facets(design: Design, value: float) -> dict[str, Any]:
-    return _centroids(design, _view(design, facets=0.25), facets=value)
+    finest = _centroids(design)  # compiles
+    found, spent = _timed(lambda: _centroids(smaller))
+    gap = (found + 0.5) / value - 0.5 - finest
+    return spent | {"error": rms(np.linalg.norm(gap[np.isfinite(gap).all(axis=1)], axis=1))}
 
 
 def _displacement(design: Design, value: Literal["linear", "auto", "large"]) -> dict[str, Any]:
     """Forces fitted to large-displacement shifts with the shifts of a theory."""
     from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
-    from phytac_design.simulation.instance_shell import truth_shell
     from phytac_design.simulation.linear_response import point_motions, turned_points
-    from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 
     error = ForceError(design)
-    mesh, model = truth_shell(design, error.surface, PRESETS["draft"].truth_refine)
-    loads, radius = error.loads(mesh), design.receptor.diameter_outer_mm / 2.0
-    kinematics = ReceptorKinematics(mesh, error.surface, error.markers.uv, radius)
-    forces, imaging = error.contacts.force_N, error.imaging
+    mesh, model = error.truth_shell(PRESETS["draft"].truth_refine)
+    loads, kinematics = error.loads(mesh), error.kinematics(mesh)
+    forces, arm = error.contacts.force_N, error.imaging.arm_mm
     shell = QuasiNewtonSolver(model)
     model.solve(loads[:, :1])  # the factorisation, which all share
 
     def shifts(theory: Literal["linear", "auto", "large"]) -> FloatArray:
-        out = np.full((len(forces), 2 * error.markers.count), np.nan)
+        out = np.full((len(forces), 2 * error.sensor.markers.count), np.nan)
         for k, force in enumerate(forces):
             load, large = force * loads[:, k], False
             motion: FloatArray | None
@@ -127,14 +83,10 @@ def _displacement(design: Design, value: Literal["linear", "auto", "large"]) -> 
             else:
                 sample = shell.solve(load, tolerance=0.01 if theory == "auto" else None).sample
                 motion, large = sample.motion, sample.large
-            if motion is None:
-                continue
-            moved = (
-                turned_points(kinematics.large(motion), imaging.arm_mm)
-                if large
-                else point_motions(kinematics.linear(motion), imaging.arm_mm)
-            )
-            out[k] = (imaging.readers.project(imaging.watched + moved) - imaging.rest).ravel()
+            if motion is not None and large:
+                out[k] = error.image_shift(turned_points(kinematics.large(motion), arm))
+            elif motion is not None:
+                out[k] = error.image_shift(point_motions(kinematics.linear(motion), arm))
         return out
 
     found, spent = _timed(lambda: shifts(value))
@@ -190,17 +142,3 @@ def _estimator(design: Design, value: str) -> dict[str, Any]:
     score = context.facts("decoder")["test"][value]
     seconds = float(score["milliseconds_per_frame"]) / 1e3
     return {"seconds": seconds, "cpu_s": seconds, "error": float(score["relative_error"])}
-
-
-def _precision(design: Design, value: str) -> dict[str, Any]:
-    """Force fits with tables of single or double precision."""
-    error = ForceError(design)
-    rows = error.rows(4, receptors=True, orders=3)
-    shift = np.einsum("ckn,ck->cn", rows, error.contacts.force_N[:, None] ** np.arange(1, 4))
-    kept, seen = rows.astype(value), shift.astype(value)
-    found, spent = _timed(lambda: [fit_forces(kept, seen) for _ in range(LOOPS)][-1])
-    fits = LOOPS * len(rows)
-    return spent | {
-        "error": rms(found / error.contacts.force_N - 1.0),
-        "seconds_per_reading": spent["seconds"] / fits,
-    }

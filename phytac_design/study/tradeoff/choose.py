@@ -15,7 +15,6 @@ from phytac_design.study.tradeoff.settings import Quantity
 from phytac_shapes.errors import DesignError
 
 Progress = Callable[[str], None]
-REFINES = (2, 3, 4, 5, 6, 8, 10, 12)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,11 +136,11 @@ def difference_from_draft(setting: Accuracy) -> str:
 
 def pilot_of(of: str, error: ForceError) -> tuple[Pilot, Sequence[Accuracy]]:
     """Pilot of a quantity, and the settings that are tried for it."""
-    draft = PRESETS["draft"]
+    draft, refines = PRESETS["draft"], (2, 3, 4, 5, 6, 8, 10, 12)
     if of == "force":
         return ForcePilot(error), [
             replace(draft, refine=refine, place_orders=orders, place_share=share)
-            for refine, orders, share in product(REFINES, (1, 3, 4, 5), (1.2, 0.8, 0.55, 0.4))
+            for refine, orders, share in product(refines, (1, 3, 4, 5), (1.2, 0.8, 0.55, 0.4))
         ]
     if of == "volume":
         tolerances = (0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
@@ -149,7 +148,7 @@ def pilot_of(of: str, error: ForceError) -> tuple[Pilot, Sequence[Accuracy]]:
     if of == "visibility":
         return VisibilityPilot(error), [
             replace(draft, refine=refine, press_tolerance=tolerance)
-            for refine, tolerance in product(REFINES[:6], (1.0, 0.1, 0.05, 0.02))
+            for refine, tolerance in product(refines[:6], (1.0, 0.1, 0.05, 0.02))
         ]
     raise DesignError(
         "tolerance-kind-unknown",

@@ -19,28 +19,24 @@ from numpy.typing import NDArray
 from phytac_decoder.mechanics.response_table import FIT_PLACES, ResponseTable
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.spec import Design
-from phytac_design.layout import make_markers
-from phytac_design.layout.cameras import Readers, cameras_of
+from phytac_design.layout.arc import by_area
+from phytac_design.layout.cameras import Readers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.shell.compliance import turns_of
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads, tangent_frame
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm, rings
-from phytac_design.study.tradeoff.standard_contacts import StandardContacts, standard_contacts
+from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
-
-PILOT_REFINE = 4
-"""Elements per marker pitch of the mesh that theory and interpolation are evaluated on."""
-REFERENCE_REFINES = (5, 9)
-"""Elements per marker pitch of the two meshes that the reference is extrapolated from; their errors
-fall with the square of that number (a third mesh of 13 agrees within 0.1 %)."""
+from phytac_shapes.errors import DesignError, NumericalError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,33 +66,56 @@ class ForceError:
         Standard contacts.
     """
 
+    pilot_refine = 4
+    """Elements per marker pitch of the mesh that theory and interpolation are evaluated on."""
+    reference_refines = 5, 9
+    """Elements per marker pitch of the two meshes that the reference is extrapolated from; their
+    errors fall with the square of that number (a third mesh of 13 agrees within 0.1 %)."""
+
     def __init__(self, design: Design, *, count: int = 16) -> None:
         self.design, self.count = design, count
-        self.surface = design.surface()
-        self.markers = make_markers(design, self.surface)
-        self.truth = cache(lambda refine: self.large(*truth_shell(design, self.surface, refine)))
-        self.linear_truth = cache(self._linear_truth)
+        self.sensor = Sensor(design)
+        self.truth = cache(lambda refine: self.large(*self.truth_shell(refine)))
+        self.linear_truth = cache(
+            lambda refine: self.powers(*self.truth_shell(refine), self.contacts.uv)[:, 0]
+        )
         self.rows = cache(self._rows)
         self.between = cache(self._between)
 
     @cached_property
-    def contacts(self) -> StandardContacts:
+    def contacts(self) -> Contacts:
         """The standard contacts."""
-        return standard_contacts(self.design, self.surface, self.count)
+        return standard_contacts(self.design, self.sensor.surface, self.count)
 
     @cached_property
     def imaging(self) -> ImageResponse:
         """Image shifts of the cameras; the paint is taken at the tips, no view is rendered."""
-        markers = self.markers
-        cameras = cameras_of(self.design, self.surface)
+        markers, cameras = self.sensor.markers, self.sensor.cameras
         away = [np.linalg.norm(markers.tip_mm - c.position_mm, axis=1) for c in cameras]
         readers = Readers(cameras=cameras, read_by=np.argmin(np.stack(away), axis=0))
         return ImageResponse(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
 
+    def image_shift(self, moved_mm: FloatArray) -> FloatArray:
+        """Shifts (2n,) of the markers' images by motions (n, 3) of their paint."""
+        imaging = self.imaging
+        return (imaging.readers.project(imaging.watched + moved_mm) - imaging.rest).ravel()
+
+    def truth_shell(self, refine: int) -> tuple[ShellMesh, ShellModel]:
+        """Mesh and model of the simulated sensor."""
+        return truth_shell(self.design, self.sensor.surface, refine)
+
+    def kinematics(self, mesh: ShellMesh) -> ReceptorKinematics:
+        """Motion of the receptors on a mesh."""
+        radius = self.design.receptor.diameter_outer_mm / 2.0
+        return ReceptorKinematics(mesh, self.sensor.surface, self.sensor.markers.uv, radius)
+
     def loads(self, mesh: ShellMesh) -> FloatArray:
         """Return 1 N on each contact, (6N, c)."""
-        holes = Holes.of(self.surface, self.markers.uv, self.design.receptor.diameter_hole_mm / 2.0)
-        loads = indentation_loads(mesh, self.surface, self.contacts.touches, holes=holes)
+        sensor = self.sensor
+        holes = Holes.of(
+            sensor.surface, sensor.markers.uv, self.design.receptor.diameter_hole_mm / 2.0
+        )
+        loads = indentation_loads(mesh, sensor.surface, self.contacts, holes=holes)
         return np.asarray(loads.toarray())
 
     def large(self, mesh: ShellMesh, model: ShellModel) -> ReferenceSolution:
@@ -107,20 +126,17 @@ class ForceError:
         NumericalError
             If fewer than half of the contacts can be solved.
         """
-        contacts, imaging, count = self.contacts, self.imaging, self.markers.count
-        radius = self.design.receptor.diameter_outer_mm / 2.0
-        kinematics = ReceptorKinematics(mesh, self.surface, self.markers.uv, radius)
-        loads = self.loads(mesh)
+        forces, count = self.contacts.force_N, self.sensor.markers.count
+        kinematics, loads = self.kinematics(mesh), self.loads(mesh)
         linear = model.solve(loads).motion.reshape(loads.shape)
         shell = QuasiNewtonSolver(model)
-        motion = np.full((len(contacts.uv), count, 6), np.nan)
-        shift = np.full((len(contacts.uv), 2 * count), np.nan)
-        for k, force in enumerate(contacts.force_N.tolist()):
+        motion = np.full((len(forces), count, 6), np.nan)
+        shift = np.full((len(forces), 2 * count), np.nan)
+        for k, force in enumerate(forces.tolist()):
             found = shell.solve(force * loads[:, k], linear=force * linear[:, k]).sample.motion
             if found is not None:
                 motion[k] = kinematics.large(found)
-                moved = imaging.watched + turned_points(motion[k], imaging.arm_mm)
-                shift[k] = (imaging.readers.project(moved) - imaging.rest).ravel()
+                shift[k] = self.image_shift(turned_points(motion[k], self.imaging.arm_mm))
         solved = int(np.isfinite(motion).all(axis=(1, 2)).sum())
         if 2 * solved < len(motion):
             raise NumericalError(
@@ -132,20 +148,22 @@ class ForceError:
 
     def shell(self, refine: int, *, receptors: bool) -> tuple[ShellMesh, ShellModel]:
         """Mesh and model that a build with these settings decodes with."""
-        thickness = self.design.wall.thickness_mm
-        mesh = marker_mesh(self.surface, self.markers, thickness_mm=thickness, refine=refine)
-        known = receptors and not unknown_receptors(self.design)
-        return mesh, sensor_model(self.design, self.markers, mesh, receptors=known)
+        design, markers = self.design, self.sensor.markers
+        thickness = design.wall.thickness_mm
+        mesh = marker_mesh(self.sensor.surface, markers, thickness_mm=thickness, refine=refine)
+        known = receptors and not unknown_receptors(design)
+        return mesh, sensor_model(design, markers, mesh, receptors=known)
 
     def powers(
         self, mesh: ShellMesh, model: ShellModel, uv: FloatArray, *, orders: int = 1
     ) -> FloatArray:
         """Shifts S₁ … S_k (p, k, 2n) of contacts at places (p, 2), px per N, N², …."""
+        sensor = self.sensor
         shell = DiscResponse(
-            self.design, self.surface, self.markers, mesh=mesh, model=model, orders=orders
+            self.design, sensor.surface, sensor.markers, mesh=mesh, model=model, orders=orders
         )
-        out = np.zeros((len(uv), orders, 2 * self.markers.count))
-        for k, own in enumerate(shell.motions(uv, self.contacts.radius_mm)):
+        out = np.zeros((len(uv), orders, 2 * sensor.markers.count))
+        for k, own in enumerate(shell.motions(uv, float(self.contacts.radius_mm[0]))):
             out[k, : len(own)] = self.imaging.powers(own, shell.forces)
         return out
 
@@ -157,12 +175,12 @@ class ForceError:
     def _between(self, refine: int, share: float, *, receptors: bool) -> FloatArray:
         """S₁ (c, 2n) at the contacts, interpolated between tabulated places."""
         mesh, model = self.shell(refine, receptors=receptors)
-        columns = self.markers.lattice.columns if self.markers.lattice else 1
-        sectors, _ = turns_of(model, mesh, columns)
-        radius = self.contacts.radius_mm
-        ring = rings(self.surface, place_spacing_mm(self.surface, share, radius), sectors)
-        along, around = tangent_frame(self.surface, ring.uv)
-        point, wanted = self.surface.point(ring.uv), self.surface.point(self.contacts.uv)
+        surface, markers = self.sensor.surface, self.sensor.markers
+        sectors, _ = turns_of(model, mesh, markers.lattice.columns if markers.lattice else 1)
+        radius = float(self.contacts.radius_mm[0])
+        ring = rings(surface, place_spacing_mm(surface, share, radius), sectors)
+        along, around = tangent_frame(surface, ring.uv)
+        point, wanted = surface.point(ring.uv), surface.point(self.contacts.uv)
 
         def table(near: IntArray, shift_px: NDArray[np.float32]) -> ResponseTable:
             return ResponseTable(
@@ -181,7 +199,7 @@ class ForceError:
             local.append(near)
             base.append(near[empty.fits[0][int(empty.nearest(target[None])[0])]])
         needed = np.unique(np.concatenate(base))
-        solved = np.zeros((len(point), 2 * self.markers.count), dtype=np.float32)
+        solved = np.zeros((len(point), 2 * markers.count), dtype=np.float32)
         solved[needed] = self.powers(mesh, model, ring.uv[needed])[:, 0]
         return np.stack(
             [
@@ -193,7 +211,7 @@ class ForceError:
     @cached_property
     def reference(self) -> ReferenceSolution:
         """Response of an infinitely fine mesh, extrapolated."""
-        coarse, fine = (self.truth(refine) for refine in REFERENCE_REFINES)
+        coarse, fine = (self.truth(refine) for refine in self.reference_refines)
         return ReferenceSolution(
             shift_px=extrapolated(coarse.shift_px, fine.shift_px),
             motion=extrapolated(coarse.motion, fine.motion),
@@ -202,19 +220,7 @@ class ForceError:
     @cached_property
     def linear_reference(self) -> FloatArray:
         """S₁ (c, 2n) likewise: linear theory."""
-        return extrapolated(*(self.linear_truth(refine) for refine in REFERENCE_REFINES))
-
-    def _linear_truth(self, refine: int) -> FloatArray:
-        mesh, model = truth_shell(self.design, self.surface, refine)
-        return self.powers(mesh, model, self.contacts.uv)[:, 0]
-
-    def rows_of(self, setting: Accuracy) -> FloatArray:
-        """Rows (c, k, 2n) of a setting at the contacts, S₁ between its tabulated places."""
-        receptors, coarse = setting.receptors, min(setting.refine, PILOT_REFINE)
-        rows = self.rows(setting.refine, receptors=receptors, orders=setting.place_orders).copy()
-        exact = self.rows(coarse, receptors=receptors, orders=1)[:, 0]
-        rows[:, 0] += self.between(coarse, setting.place_share, receptors=receptors) - exact
-        return rows
+        return extrapolated(*(self.linear_truth(refine) for refine in self.reference_refines))
 
     def truth_error(self, refine: int) -> float:
         """Relative force error of the simulated sensor's own mesh, linear theory."""
@@ -223,14 +229,62 @@ class ForceError:
 
     def errors(self, setting: Accuracy) -> FloatArray:
         """Relative force errors (s,) of a setting on the contacts that the reference solves."""
+        receptors, coarse = setting.receptors, min(setting.refine, self.pilot_refine)
+        rows = self.rows(setting.refine, receptors=receptors, orders=setting.place_orders).copy()
+        # S₁ as between the setting's tabulated places.
+        exact = self.rows(coarse, receptors=receptors, orders=1)[:, 0]
+        rows[:, 0] += self.between(coarse, setting.place_share, receptors=receptors) - exact
         solved = np.isfinite(self.reference.shift_px).all(axis=1)
-        force = fit_forces(self.rows_of(setting)[solved], self.reference.shift_px[solved])
+        force = fit_forces(rows[solved], self.reference.shift_px[solved])
         return np.asarray(force / self.contacts.force_N[solved] - 1.0)
+
+
+def standard_contacts(design: Design, surface: Surface, count: int = 16) -> Contacts:
+    """Single contacts spread evenly over area and force, away from the rims.
+
+    The places are at least a patch diameter away from every open edge, where place and force are
+    nearly degenerate; forces go from a fifth of the design's largest to all of it, over its mean
+    patch. The same design always has the same contacts.
+
+    Raises
+    ------
+    DesignError
+        If no place is that far from the rims.
+    """
+    training = design.training
+    radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+    # An even additive sequence in three dimensions: powers of 1/p, p⁴ = p + 1. Forty candidates for
+    # each contact: those near a rim are skipped.
+    steps = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+    numbers = (0.5 + np.arange(1, 40 * count + 1)[:, None] * steps) % 1.0
+    uv = by_area(surface, numbers[:, :2])
+    away = np.full(len(uv), np.inf)
+    for axis, end in surface.edges():
+        edge = np.full((129, 2), surface.domain[axis, end])
+        edge[:, 1 - axis] = np.linspace(*surface.domain[1 - axis], len(edge))
+        gap = np.linalg.norm(surface.point(uv)[:, None] - surface.point(edge)[None], axis=2)
+        away = np.minimum(away, gap.min(axis=1))
+    kept = np.flatnonzero(away >= 2.0 * radius)[:count]
+    if len(kept) == 0:
+        raise DesignError(
+            "standard-contacts-no-room",
+            f"no place on this sensor is {2.0 * radius:g} mm from its rims, so it has no standard "
+            "contacts to measure a force error on; lower training.patch_radius_max_mm or make the "
+            "sensor larger",
+        )
+    low = max(training.force_min_N, 0.2 * training.force_max_N)
+    return Contacts.flat(
+        sample=np.arange(len(kept)),
+        uv=uv[kept],
+        radius_mm=np.full(len(kept), radius),
+        force_N=low + (training.force_max_N - low) * numbers[: len(kept), 2],
+        samples=len(kept),
+    )
 
 
 def extrapolated(coarse: FloatArray, fine: FloatArray) -> FloatArray:
     """Limit of two results on the reference meshes, whose errors fall with the square."""
-    low, high = REFERENCE_REFINES
+    low, high = ForceError.reference_refines
     return np.asarray(fine + (fine - coarse) / ((high / low) ** 2 - 1.0))
 
 

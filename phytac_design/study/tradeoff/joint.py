@@ -5,6 +5,7 @@ measured alone. Each error depends on one group, but visibility also on the mesh
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import Any, Literal
 
@@ -17,39 +18,52 @@ from phytac_design.study.tradeoff.pilot import visibility_error
 from phytac_design.study.tradeoff.points import Point, Points
 
 Settings = Mapping[str, Any]
-CAD: tuple[Settings, ...] = (
-    {"cad_tolerance_mm": 0.05, "print_tools": False},
-    {"cad_tolerance_mm": 0.02, "print_tools": True},
-    {"cad_tolerance_mm": 0.01, "print_tools": True},
-    {"cad_tolerance_mm": 0.005, "print_tools": True},
-)
-MECHANICS: tuple[Settings, ...] = tuple(
-    {"refine": refine, "place_orders": orders, "place_share": share}
-    for refine, orders, share in (
-        (3, 1, 0.8),
-        (4, 1, 0.8),
-        (3, 4, 0.8),
-        (4, 4, 0.8),
-        (4, 4, 0.55),
-        (6, 4, 0.55),
-        (6, 5, 0.4),
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointGrid:
+    """Groups of settings that act together, each from the cheapest to the finest.
+
+    Attributes
+    ----------
+    mechanics : tuple of dict
+        Two and three powers are omitted: Koiter's expansion, which fails on flat faces.
+    load_refine : tuple of int
+        Coarsest mesh that each entry of ``load`` is measured with: many presses on a coarse mesh
+        are useless.
+    """
+
+    cad: tuple[Settings, ...] = (
+        {"cad_tolerance_mm": 0.05, "print_tools": False},
+        {"cad_tolerance_mm": 0.02, "print_tools": True},
+        {"cad_tolerance_mm": 0.01, "print_tools": True},
+        {"cad_tolerance_mm": 0.005, "print_tools": True},
     )
-)
-"""Two and three powers are omitted: Koiter's expansion, which fails on flat faces."""
-LOAD: tuple[Settings, ...] = (
-    {"press_places": 8, "press_tolerance": 1.0},
-    {"press_places": 20, "press_tolerance": 1.0},
-    {"press_places": 40, "press_tolerance": 0.05},
-    {"press_places": 120, "press_tolerance": 0.02},
-)
-LOAD_REFINE = (2, 2, 4, 4)
-"""Coarsest mesh that each of these is measured with: many presses on a coarse mesh are useless."""
-SCORE: tuple[Settings, ...] = (
-    {"truth_refine": 5, "sample_share": 0.3, "frames": 5},
-    {"truth_refine": 7, "sample_share": 1.0, "frames": 20},
-    {"truth_refine": 9, "sample_share": 1.0, "frames": 50},
-    {"truth_refine": 13, "sample_share": 1.0, "frames": 100},
-)
+    mechanics: tuple[Settings, ...] = tuple(
+        {"refine": refine, "place_orders": orders, "place_share": share}
+        for refine, orders, share in (
+            (3, 1, 0.8),
+            (4, 1, 0.8),
+            (3, 4, 0.8),
+            (4, 4, 0.8),
+            (4, 4, 0.55),
+            (6, 4, 0.55),
+            (6, 5, 0.4),
+        )
+    )
+    load: tuple[Settings, ...] = (
+        {"press_places": 8, "press_tolerance": 1.0},
+        {"press_places": 20, "press_tolerance": 1.0},
+        {"press_places": 40, "press_tolerance": 0.05},
+        {"press_places": 120, "press_tolerance": 0.02},
+    )
+    load_refine: tuple[int, ...] = (2, 2, 4, 4)
+    score: tuple[Settings, ...] = (
+        {"truth_refine": 5, "sample_share": 0.3, "frames": 5},
+        {"truth_refine": 7, "sample_share": 1.0, "frames": 20},
+        {"truth_refine": 9, "sample_share": 1.0, "frames": 50},
+        {"truth_refine": 13, "sample_share": 1.0, "frames": 100},
+    )
 
 
 def joint_settings(points: Points, *, quick: bool = False) -> list[MeasuredSetting]:
@@ -62,28 +76,26 @@ def joint_settings(points: Points, *, quick: bool = False) -> list[MeasuredSetti
     quick : bool
         Only the cheapest few of each group.
     """
-    cut, one = (2, 1) if quick else (None, None)
-    groups = CAD[:cut], MECHANICS[:cut], LOAD[:one], SCORE[:one]
+    grid, (cut, one) = JointGrid(), (2, 1) if quick else (None, None)
+    groups = grid.cad[:cut], grid.mechanics[:cut], grid.load[:one], grid.score[:one]
 
     def run(stages: str, settings: Settings) -> dict[str, Any]:
         return points.get(Point(kind="stages", name=stages, settings=settings))
 
     def errors(kind: Literal["force", "truth"], each: Sequence[Settings]) -> list[float]:
-        return [
-            float(error)
-            for error in points.get(Point(kind=kind, name=kind, settings={"each": each}))["errors"]
-        ]
+        found = points.get(Point(kind=kind, name=kind, settings={"each": [dict(s) for s in each]}))
+        return [float(error) for error in found["errors"]]
 
     fixed = run("views,switch,compare,step,decoder,report", {})
     cad = [run("shell,hardware,mold,kit,printing,bench", s) for s in groups[0]]
-    force = errors("force", [dict(s) for s in groups[1]])
+    force = errors("force", groups[1])
     mechanics = [run("mesh,response,resolution,places", s) for s in groups[1]]
     meshes = sorted({s["refine"] for s in groups[1]})
     load = {
-        (refine, k): run("underload", {"refine": refine} | dict(s))
+        (refine, k): run("underload", {"refine": refine, **s})
         for refine in meshes
         for k, s in enumerate(groups[2])
-        if refine >= LOAD_REFINE[k] or refine == meshes[-1]
+        if refine >= grid.load_refine[k] or refine == meshes[-1]
     }
     finest = load[meshes[-1], len(groups[2]) - 1]["clearance"]
     truth = errors("truth", [{"truth_refine": s["truth_refine"]} for s in groups[3]])
@@ -93,13 +105,16 @@ def joint_settings(points: Points, *, quick: bool = False) -> list[MeasuredSetti
         pressed = load.get((groups[1][m]["refine"], k))
         if pressed is None:
             continue
-        settings: dict[str, Any] = {"receptors": True}
-        for group, index in zip(groups, (c, m, k, s), strict=True):
-            settings |= group[index]
         parts = (fixed, cad[c], mechanics[m], pressed, score[s])
         out.append(
             MeasuredSetting(
-                settings=settings,
+                settings={
+                    "receptors": True,
+                    **groups[0][c],
+                    **groups[1][m],
+                    **groups[2][k],
+                    **groups[3][s],
+                },
                 seconds=sum(part["seconds"] for part in parts),
                 cpu_s=sum(part["cpu_s"] for part in parts),
                 peak_MB=max(part["peak_MB"] for part in parts),

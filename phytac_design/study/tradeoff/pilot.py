@@ -20,23 +20,13 @@ import numpy as np
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import tolerance_mm
-from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.optics.loaded_visibility import LoadedVisibility, visibility_under_load
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.solids.solid_mesh import shell_manifold
-from phytac_design.study.tradeoff.force import (
-    PILOT_REFINE,
-    REFERENCE_REFINES,
-    ForceError,
-    fit_forces,
-    rms,
-)
+from phytac_design.study.tradeoff.force import ForceError, fit_forces, rms
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
-
-FORCE_SAFETY = 1.25
-"""Factor on predicted force errors; 0.9 to 1.2 was needed on domes, grips and a patch."""
 
 
 class Pilot(Protocol):
@@ -50,10 +40,18 @@ class Pilot(Protocol):
 
 
 class ForcePilot:
-    """Relative force errors, root mean square over the standard contacts."""
+    """Relative force errors, root mean square over the standard contacts.
 
-    def __init__(self, error: ForceError) -> None:
-        self.error = error
+    Parameters
+    ----------
+    error : ForceError
+        Of the design.
+    safety : float
+        Factor on predicted errors; 0.9 to 1.2 was needed on domes, grips and a patch.
+    """
+
+    def __init__(self, error: ForceError, safety: float = 1.25) -> None:
+        self.error, self.safety = error, safety
         self.mesh = cache(self._mesh)
         self.theory = cache(self._theory)
         self.tables = cache(self._tables)
@@ -65,24 +63,23 @@ class ForcePilot:
 
     @cached_property
     def _large_px(self) -> FloatArray:
-        mesh, model = self.error.shell(PILOT_REFINE, receptors=True)
-        return self.error.large(mesh, model).shift_px
+        return self.error.large(*self.error.shell(self.error.pilot_refine, receptors=True)).shift_px
 
     def _theory(self, orders: int) -> FloatArray:
         """The same for the theory alone; NaN for contacts without a solution."""
-        rows = self.error.rows(PILOT_REFINE, receptors=True, orders=orders)
+        rows = self.error.rows(self.error.pilot_refine, receptors=True, orders=orders)
         return fit_forces(rows, self._large_px) / self.error.contacts.force_N
 
     def _tables(self, share: float) -> FloatArray:
         """The same for the interpolation between places alone."""
-        exact = self.error.rows(PILOT_REFINE, receptors=True, orders=1)[:, 0]
-        between = self.error.between(PILOT_REFINE, share, receptors=True)
+        exact = self.error.rows(self.error.pilot_refine, receptors=True, orders=1)[:, 0]
+        between = self.error.between(self.error.pilot_refine, share, receptors=True)
         return fit_forces(between[:, None], exact)
 
     def alone(self, name: str, setting: Accuracy) -> float:
         """Root mean square error of one field of the settings, everything else being ideal."""
         if name in {"refine", "receptors"}:
-            refine = setting.refine if name == "refine" else PILOT_REFINE
+            refine = setting.refine if name == "refine" else self.error.pilot_refine
             ratio = self.mesh(refine, setting.receptors)
         elif name == "place_share":
             ratio = self.tables(setting.place_share)
@@ -97,7 +94,7 @@ class ForcePilot:
             * self.theory(setting.place_orders)
             * self.tables(setting.place_share)
         )
-        return FORCE_SAFETY * rms(ratio[np.isfinite(ratio)] - 1.0)
+        return self.safety * rms(ratio[np.isfinite(ratio)] - 1.0)
 
     def achieved(self, setting: Accuracy) -> float:
         """Error against the reference."""
@@ -108,15 +105,9 @@ class VolumePilot:
     """Relative errors of the printed shell's volume."""
 
     def __init__(self, error: ForceError) -> None:
-        self.error = error
-        self.volume_mm3 = cache(self._volume_mm3)
-
-    def _volume_mm3(self, tolerance_mm: float) -> float:
-        error = self.error
-        solid = shell_manifold(
-            Sensor.of(error.design, error.surface, error.markers), tolerance_mm=tolerance_mm
+        self.volume_mm3 = cache(
+            lambda mm: float(shell_manifold(error.sensor, tolerance_mm=mm).volume())
         )
-        return float(solid.volume())
 
     def predict(self, setting: Accuracy) -> float:
         """Predicted error; the factor of 1.5 covers facets of whole numbers."""
@@ -134,20 +125,21 @@ class VisibilityPilot:
 
     def __init__(self, error: ForceError) -> None:
         self.error = error
-        self.reference = cache(self._reference)
+        self.coarse = cache(lambda: self.pressed(error.truth(error.reference_refines[0]).motion))
+        self.fine = cache(lambda: self.pressed(error.reference.motion))
         self.clearance = cache(self._clearance)
 
     def predict(self, setting: Accuracy) -> float:
         """Difference from a coarse reference; 0.002 is a pixel more or less on a small marker."""
-        return 0.002 + 1.3 * self._difference(setting, fine=False)
+        return 0.002 + 1.3 * self._difference(setting, self.coarse())
 
     def achieved(self, setting: Accuracy) -> float:
         """Difference from the reference."""
-        return self._difference(setting, fine=True)
+        return self._difference(setting, self.fine())
 
-    def _difference(self, setting: Accuracy, *, fine: bool) -> float:
+    def _difference(self, setting: Accuracy, reference: FloatArray) -> float:
         own = self.clearance(setting.refine, setting.receptors, setting.press_tolerance)
-        gap = np.abs(own - self.reference(fine))
+        gap = np.abs(own - reference)
         if not np.isfinite(gap).any():
             raise NumericalError(
                 "contacts-not-solved",
@@ -155,16 +147,11 @@ class VisibilityPilot:
             )
         return float(np.nanmax(gap))
 
-    def _reference(self, fine: bool) -> FloatArray:
-        error = self.error
-        solution = error.reference if fine else error.truth(REFERENCE_REFINES[0])
-        return self.pressed(solution.motion)
-
     def _clearance(self, refine: int, receptors: bool, tolerance: float) -> FloatArray:
         """Clearance (c, n) of markers by the motion that the stage computes."""
         mesh, model = self.error.shell(refine, receptors=receptors)
         loads, shell = self.error.loads(mesh), QuasiNewtonSolver(model)
-        motion = np.full((loads.shape[1], self.error.markers.count, 6), np.nan)
+        motion = np.full((loads.shape[1], self.error.sensor.markers.count, 6), np.nan)
         for k, force in enumerate(self.error.contacts.force_N.tolist()):
             load = force * loads[:, k]
             found: FloatArray | None = shell.linear(load) if tolerance >= 1.0 else None
@@ -176,22 +163,16 @@ class VisibilityPilot:
 
     def pressed(self, motion: FloatArray) -> FloatArray:
         """Clearance (c, n) of markers under each contact, by their motion (c, n, 6)."""
-        error = self.error
-        markers, readers, forces = error.markers, error.imaging.readers, error.contacts.force_N
+        sensor, readers = self.error.sensor, self.error.imaging.readers
+        forces, markers = self.error.contacts.force_N, sensor.markers
         out = np.full((len(motion), markers.count), np.nan)
         for number, camera in enumerate(readers.cameras):
             own = readers.read_by == number
             if not own.any():
                 continue
-            tolerance = tolerance_mm(camera, markers)
+            scene = build_scene(sensor, tolerance_mm=tolerance_mm(camera, markers))
             look = partial(
-                visibility_under_load,
-                build_scene(
-                    Sensor.of(error.design, error.surface, markers), tolerance_mm=tolerance
-                ),
-                camera,
-                pivots_mm=markers.mid_mm,
-                counted=own,
+                visibility_under_load, scene, camera, pivots_mm=markers.mid_mm, counted=own
             )
             rest = look(motions=motion[:0, None], forces_N=forces[:1])
             for k in np.flatnonzero(np.isfinite(motion).all(axis=(1, 2))).tolist():

@@ -7,11 +7,11 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
-from hashlib import sha256
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
+from phytac_design.core.journal import Journal
 from phytac_design.core.threads import one_thread_each
 from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.design_file import design_hash, parse_design
@@ -33,7 +33,8 @@ class Point:
     name : str
         Of the stages, comma separated, or of the setting.
     settings : dict
-        Settings that differ from ``draft``, or the choice's value; for errors a list ``each``.
+        Settings that differ from ``draft``, or the choice's value; for errors a list ``each``:
+        one process computes them all, as they share the reference.
     """
 
     kind: Literal["stages", "force", "alone", "truth", "use"]
@@ -44,11 +45,6 @@ class Point:
     def stages(self) -> list[str]:
         """Names of the stages."""
         return self.name.split(",")
-
-    @property
-    def each(self) -> list[Accuracy]:
-        """Settings whose errors one process computes, as they share the reference."""
-        return [accuracy_of(settings) for settings in self.settings["each"]]
 
 
 class Points:
@@ -68,8 +64,9 @@ class Points:
         self, design: Design, folder: Path, progress: Callable[[str], None] = lambda _: None
     ) -> None:
         self.design, self.folder, self.progress = design, folder, progress
+        self.journal = Journal(folder / "points")
         try:
-            (folder / "points").mkdir(parents=True, exist_ok=True)
+            self.journal.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(
                 "output-not-writable",
@@ -85,20 +82,17 @@ class Points:
             If the measuring process fails.
         """
         key = json.dumps([design_hash(self.design), code_hash(), asdict(point)], sort_keys=True)
-        path = self.folder / "points" / f"{sha256(key.encode()).hexdigest()[:24]}.json"
-        try:
-            found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            begin = time.perf_counter()
-            found = measure_apart(self.design, point, self.folder / "cache")
-            spent = time.perf_counter() - begin
-            self.progress(
-                f"{self.design.name}: {point.kind} {point.name} "
-                f"({', '.join(map(str, point.settings.values()))}): {spent:.1f} s"
-            )
-            partial = path.with_suffix(f".{os.getpid()}.part")
-            partial.write_text(json.dumps(found | {"point": asdict(point)}), encoding="utf-8")
-            partial.replace(path)
+        known = self.journal.get(key)
+        if known is not None:
+            return known[0]
+        begin = time.perf_counter()
+        found = measure_apart(self.design, point, self.folder / "cache")
+        spent = time.perf_counter() - begin
+        self.progress(
+            f"{self.design.name}: {point.kind} {point.name} "
+            f"({', '.join(map(str, point.settings.values()))}): {spent:.1f} s"
+        )
+        self.journal.put(key, found)
         return found
 
 
@@ -142,8 +136,6 @@ def measure(design: Design, point: Point) -> dict[str, Any]:
     """Measure a point in this process: its error or facts, seconds, and peak memory in MB."""
     from phytac_design.study.planning.run_plan import peak_MB
     from phytac_design.study.tradeoff.choices import use
-    from phytac_design.study.tradeoff.force import ForceError, rms
-    from phytac_design.study.tradeoff.pilot import ForcePilot
 
     wall, cpu = time.perf_counter(), time.process_time()
     if point.kind == "stages":
@@ -151,19 +143,26 @@ def measure(design: Design, point: Point) -> dict[str, Any]:
     elif point.kind == "use":
         found = use(design, point.name, point.settings[point.name])
     else:
-        error = ForceError(design)
-        pilot = ForcePilot(error)
-        errors: dict[str, Callable[[Accuracy], float]] = {
-            "force": lambda setting: rms(error.errors(setting)),
-            "alone": lambda setting: pilot.alone(point.name, setting),
-            "truth": lambda setting: error.truth_error(setting.truth_refine),
-        }
-        found = {"errors": [errors[point.kind](setting) for setting in point.each]}
+        found = {"errors": _errors(design, point)}
     return {
         "seconds": time.perf_counter() - wall,
         "cpu_s": time.process_time() - cpu,
         "peak_MB": peak_MB(),
     } | found
+
+
+def _errors(design: Design, point: Point) -> list[float]:
+    from phytac_design.study.tradeoff.force import ForceError
+    from phytac_design.study.tradeoff.pilot import ForcePilot
+
+    error = ForceError(design)
+    pilot = ForcePilot(error)
+    errors: dict[str, Callable[[Accuracy], float]] = {
+        "force": pilot.achieved,
+        "alone": lambda setting: pilot.alone(point.name, setting),
+        "truth": lambda setting: error.truth_error(setting.truth_refine),
+    }
+    return [errors[point.kind](accuracy_of(settings)) for settings in point.settings["each"]]
 
 
 def _run(design: Design, names: list[str], point: Point) -> tuple[Any, list[str]]:
@@ -193,16 +192,12 @@ def _stages(design: Design, point: Point) -> dict[str, Any]:
             shutil.rmtree(context.folders[name])
         before = time.process_time()
         context, _ = _run(design, point.stages, point)
-    folders = {name: context.folders[name] for name in point.stages}
-    seconds = {name: float(cache.record(folder)["seconds"]) for name, folder in folders.items()}
-    out: dict[str, Any] = {
-        "seconds": sum(seconds.values()),
-        "cpu_s": time.process_time() - before,
-        "stages": seconds,
-    }
-    if "underload" in folders:
+    cpu_s = time.process_time() - before
+    seconds = {name: float(cache.record(context.folders[name])["seconds"]) for name in point.stages}
+    out: dict[str, Any] = {"seconds": sum(seconds.values()), "cpu_s": cpu_s, "stages": seconds}
+    if "underload" in seconds:
         out["clearance"] = built_clearance(context).tolist()
-    if "shell" in folders:
+    if "shell" in seconds:
         out["volume_mm3"] = float(context.facts("shell")["volume_mm3"])
     return out
 

@@ -17,9 +17,6 @@ from phytac_design.study.tradeoff.pilot import visibility_error
 from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
 from phytac_design.study.tradeoff.settings import QUANTITIES, SETTINGS, Setting, setting_named
 
-JOINT = "joint"
-"""Name of the joint fronts beside those of the settings."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Tradeoff:
@@ -135,14 +132,14 @@ def tradeoff(
     DesignError
         If the design cannot be built, or there is no such setting.
     """
-    names = list(only) or [setting.name for setting in SETTINGS] + [JOINT]
-    chosen = [setting_named(name) for name in names if name != JOINT]
+    names = list(only) or [setting.name for setting in SETTINGS] + ["joint"]
+    chosen = [setting_named(name) for name in names if name != "joint"]
     check_design(design)
     points = Points(design, out / ".work", progress)
     done = Tradeoff(
         design=design,
         settings=[(setting, measure_setting(points, setting)) for setting in chosen],
-        joint=joint_settings(points, quick=quick) if JOINT in names else [],
+        joint=joint_settings(points, quick=quick) if "joint" in names else [],
     )
     write(out, done)
     return done

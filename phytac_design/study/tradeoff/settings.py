@@ -67,20 +67,11 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("press_places", (8, 20, 40, 120), "visibility", "places pressed under the camera"),
     Setting("press_tolerance", (1.0, 0.1, 0.05, 0.02), "visibility", "linear or large there"),
     _choice("image_size", (0.25, 0.5, 0.75, 1.0), "visibility", "px", "pixels each way"),
-    _choice("visibility", ("sampled", "exact"), "visibility", "fraction", "rays or every pixel"),
-    _choice(
-        "facets",
-        (16.0, 4.0, 2.0, 1.0, 0.25),
-        "visibility",
-        "px",
-        "tessellation of the camera scene, in multiples of a quarter of a pixel's footprint",
-    ),
     _choice(
         "displacement", ("linear", "auto", "large"), "force", "relative", "theory of the simulation"
     ),
     _choice("route", ("points", "frames"), "visibility", "px", "centroids given or rendered"),
     _choice("estimator", ("koi_inverse", "fem", "auto"), "force", "relative", "of the decoder"),
-    _choice("precision", ("float32", "float64"), "force", "relative", "of the decoder's tables"),
 )
 """All settings and choices; errors are against the last value or the quantity's own limit."""
 

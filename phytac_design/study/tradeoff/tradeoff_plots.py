@@ -8,9 +8,6 @@ from phytac_design.study.tradeoff.front import MeasuredSetting, pareto
 from phytac_design.study.tradeoff.settings import QUANTITIES, Setting
 
 BLUE, RED = "#1b6ca8", "#b03060"
-MINIMUM = 1e-5
-"""Smaller values are drawn there, as the axes are logarithmic."""
-COLUMNS = 3
 
 
 def joint_fronts(
@@ -33,10 +30,11 @@ def joint_fronts(
 
 def setting_fronts(name: str, rows: Sequence[tuple[Setting, Sequence[MeasuredSetting]]]) -> bytes:
     """A panel for each setting: its values, cheapest to finest."""
-    down = -(-len(rows) // COLUMNS)
+    columns = 3
+    down = -(-len(rows) // columns)
     figure = new_figure((10.0, 2.6 * down))
     for k, (setting, points) in enumerate(rows):
-        axes = _axes(figure, down, COLUMNS, k, f"{setting.quantity}, {setting.unit}")
+        axes = _axes(figure, down, columns, k, f"{setting.quantity}, {setting.unit}")
         x, y = _curve(points, setting.quantity)
         axes.plot(x, y, "o-", color=BLUE, markersize=4, linewidth=1.2)
         for point, a, b in zip(points, x, y, strict=True):
@@ -48,8 +46,9 @@ def setting_fronts(name: str, rows: Sequence[tuple[Setting, Sequence[MeasuredSet
 
 
 def _curve(points: Sequence[MeasuredSetting], quantity: str) -> tuple[list[float], list[float]]:
-    seconds = [max(p.seconds, MINIMUM) for p in points]
-    return seconds, [max(p.errors[quantity], MINIMUM) for p in points]
+    least = 1e-5  # the axes are logarithmic
+    seconds = [max(p.seconds, least) for p in points]
+    return seconds, [max(p.errors[quantity], least) for p in points]
 
 
 def _axes(figure: Any, rows: int, columns: int, number: int, label: str) -> Any:

@@ -9,8 +9,9 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.study.advice.design_evaluation import EvaluatedDesign, evaluate_design
-from phytac_design.study.advice.rows import as_explicit
+from phytac_design.study.advice.design_variables import as_explicit
 from tests.designs import of_shape
 
 DRAFT = PRESETS["draft"]
@@ -36,7 +37,7 @@ def with_long_row(row: int, by_mm: float) -> Design:
     """The same, listed, with the receptors of one row too long: they hide the row behind."""
     design = tube()
     markers = make_markers(design, design.surface())
-    data = as_explicit(design, markers).model_dump(mode="json")
+    data = as_explicit(Sensor(design)).model_dump(mode="json")
     heights = np.where(markers.row == row, markers.height_mm + by_mm, markers.height_mm)
     data["layout"]["position_heights_mm"] = heights.tolist()
     return parse_design(data, "long row")

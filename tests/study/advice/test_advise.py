@@ -7,21 +7,27 @@ import pytest
 
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
+from phytac_design.stages import loaded_views_stage
 from phytac_design.study.advice import design_evaluation as judging
 from phytac_design.study.advice.advice_report import as_dict, text, write_advice
 from phytac_design.study.advice.advise import Advice, ChangeTester, advise
 from phytac_design.study.advice.design_changes import (
-    FAULTS,
-    RULES,
     Change,
     broken_margin,
     costs_of,
     gain_of,
 )
 from phytac_design.study.advice.design_evaluation import evaluate_design, faults_of
-from phytac_design.study.advice.design_variables import COUNT, variables_of, with_fields
-from phytac_design.study.advice.rows import as_explicit, named_rows, row_variables
+from phytac_design.study.advice.design_variables import (
+    COUNT,
+    as_explicit,
+    named_rows,
+    row_variables,
+    variables_of,
+    with_fields,
+)
 from phytac_shapes.errors import DesignError, OutputError
 from tests.study.advice.cases import DRAFT, ROWS, judged_tube, tube, with_long_row
 
@@ -56,7 +62,7 @@ def test_a_hidden_row_is_repaired_at_the_row() -> None:
         if trial.variable.name == "rows.row 2 height" and trial.amount < 0.0
     ]
     assert lower, names
-    assert lower[0].goal == FAULTS
+    assert lower[0].goal == "faults"
     assert lower[0].design is not None
     after = evaluate_design(lower[0].design, DRAFT).figures
     assert after["occluded"] == 0
@@ -73,7 +79,7 @@ def test_a_camera_too_close_is_to_be_moved_back() -> None:
     back = [trial for trial in found.pieces if trial.variable.name == "camera.stand_off_mm"]
     assert back
     assert back[0].amount > 0.0
-    assert back[0].goal == RULES
+    assert back[0].goal == "rules"
     assert back[0].design is not None
     assert evaluate_design(back[0].design, DRAFT).faults == 0
 
@@ -95,12 +101,12 @@ def test_advice_breaks_nothing(of_thick_wall: Advice) -> None:
 def test_a_move_that_hides_markers_is_no_advice() -> None:
     base = judged_tube()
     (variable,) = [
-        k for k in row_variables(base, base.markers.row, [2]) if k.name.endswith("height")
+        k for k in row_variables(base.sensor, base.markers.row, [2]) if k.name.endswith("height")
     ]
     move = Change(
         variable=variable, amount=3.5, goal="force_middle_N", predicted={}, predicted_gain=0.05
     )
-    trial = ChangeTester(base.design, base.figures, DRAFT, markers=base.markers).test(move)
+    trial = ChangeTester(base.sensor, base.figures, DRAFT).test(move)
     assert trial.achieved["occluded"] == 8
     assert "hidden markers at rest 8 (at most 0)" in trial.reason
 
@@ -141,7 +147,7 @@ def test_evaluations_are_cached(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError
 
     monkeypatch.setattr(judging, "views_at_rest", again)
-    monkeypatch.setattr(judging, "see_pressed", again)
+    monkeypatch.setattr(loaded_views_stage, "press_and_see", again)
     assert evaluate_design(base.design, DRAFT).figures == base.figures
     # Another resin is seen as before, and pressed again.
     with pytest.raises(AssertionError):
@@ -154,12 +160,12 @@ def test_evaluations_are_cached(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_listed_markers_are_the_same() -> None:
     design = tube(switch={"regions": [{"threshold_N": 0.8, "rows": [1, 2]}]})
     markers = make_markers(design, design.surface())
-    same = as_explicit(design, markers)
+    same = as_explicit(Sensor(design))
     listed = make_markers(same, same.surface())
     assert np.array_equal(listed.colour, markers.colour)
     assert listed.tip_mm == pytest.approx(markers.tip_mm, abs=1e-9)
     assert same.switch.regions[0].markers == tuple(range(8, 24))
-    taller = variables_of(same, listed, 20.0)[2].moved(same, 0.05)
+    taller = variables_of(Sensor(same))[2].moved(same, 0.05)
     assert taller.layout.position_heights_mm == pytest.approx(1.05 * markers.height_mm)
 
 
@@ -167,7 +173,7 @@ def test_listed_markers_are_the_same() -> None:
 def test_variables_change_what_they_name(name: str) -> None:
     design = load_design(name)
     markers = make_markers(design, design.surface())
-    variables = variables_of(design, markers, 30.0)
+    variables = variables_of(Sensor(design))
     assert len({variable.name for variable in variables}) == len(variables) > 6
     for variable in variables:
         for amount in (*variable.amounts(1.0), *variable.amounts(-1.0)):

@@ -5,12 +5,16 @@ import pytest
 
 from phytac_design.layout import with_heights
 from phytac_design.layout.cameras import cameras_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.study.advice.design_evaluation import evaluate_design
-from phytac_design.study.advice.design_sensitivity import sensitivities
-from phytac_design.study.advice.design_variables import variables_of, with_fields
-from phytac_design.study.advice.local_model import LocalModel, contacts_of
-from phytac_design.study.advice.outlines import gaps_px
-from phytac_design.study.advice.rows import row_sensitivities, rows_of
+from phytac_design.study.advice.design_variables import rows_of, variables_of, with_fields
+from phytac_design.study.advice.local_model import (
+    LocalModel,
+    contacts_of,
+    gaps_px,
+    row_sensitivities,
+    sensitivities,
+)
 from phytac_design.study.search.fidelity_levels import band_rings
 from phytac_design.study.search.surrogate import FORCE_N
 from tests.designs import of_shape
@@ -51,7 +55,7 @@ def test_gap_of_discs_square_before_the_camera() -> None:
 
 def test_probe_takes_the_judged_bound(probe: LocalModel) -> None:
     base = judged_tube()
-    contacts = contacts_of(base.surface, base.markers)
+    contacts = contacts_of(base.sensor)
     assert len(contacts) == ROWS
     bound = base.bound[f"force_N_{FORCE_N:g}"][contacts]
     assert probe.figures(base.design)["force_mean_N"] == pytest.approx(bound.mean(), rel=1e-6)
@@ -70,8 +74,8 @@ def test_probe_takes_the_judged_bound(probe: LocalModel) -> None:
 )
 def test_slopes_are_those_of_judged_designs(probe: LocalModel, field: str, step: float) -> None:
     base = judged_tube()
-    (variable,) = [k for k in variables_of(base.design, base.markers, 20.0) if k.name == field]
-    (slope,) = sensitivities(probe, base, [variable])
+    (variable,) = [k for k in variables_of(base.sensor) if k.name == field]
+    (slope,) = sensitivities(probe, [variable])
     sides = [
         evaluate_design(with_fields(base.design, variable.fields(sign * step)), DRAFT).figures
         for sign in (1.0, -1.0)
@@ -99,8 +103,8 @@ def test_a_softer_resin_needs_no_solve(probe: LocalModel) -> None:
 
 def test_rows_add_up_to_all_heights(probe: LocalModel) -> None:
     base = judged_tube()
-    row = rows_of(base.markers, 1.0)
-    found = row_sensitivities(probe, base, row)
+    row = rows_of(base.sensor)
+    found = row_sensitivities(probe, row)
     assert sorted(one.row for one in found) == list(range(ROWS))
     assert [one.share for one in found] == sorted(one.share for one in found)
     # One row raised for itself, by another way: the whole figure with these markers.
@@ -116,9 +120,7 @@ def test_rows_add_up_to_all_heights(probe: LocalModel) -> None:
 
 def test_rows_of_layouts_without_rows() -> None:
     base = judged_tube()
-    assert np.array_equal(rows_of(base.markers, 1.0), np.repeat(np.arange(ROWS), COLUMNS))
+    assert np.array_equal(rows_of(base.sensor), np.repeat(np.arange(ROWS), COLUMNS))
     single = tube(layout={"kind": "phyllotaxis", "count": 30})
-    from phytac_design.layout import make_markers
-
-    markers = make_markers(single, single.surface())
-    assert np.array_equal(rows_of(markers, 1.0), np.arange(30))
+    sensor = Sensor(single)
+    assert np.array_equal(rows_of(sensor), np.arange(30))

@@ -80,10 +80,10 @@ def test_a_scheduler_that_is_not_there_is_refused_before_anything_is_written(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
-    from phytac_design.study.search import dask_pool
+    from phytac_design.study.search.dask_pool import DaskPool
 
     out = tmp_path / "out"
-    monkeypatch.setattr(dask_pool, "SETTINGS", dask_pool.DaskSettings(connect_s=0.5))
+    monkeypatch.setattr(DaskPool, "connect_s", 0.5)
     words = ["sweep", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:9"]
     done = CliRunner().invoke(APP, words)
     assert isinstance(done.exception, InputError)

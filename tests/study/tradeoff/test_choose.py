@@ -33,6 +33,7 @@ from phytac_design.study.tradeoff.build_to import (
 )
 from phytac_design.study.tradeoff.choose import achieved, choose_tolerance, wall_seconds
 from phytac_design.study.tradeoff.force import ForceError
+from phytac_design.study.tradeoff.pilot import ForcePilot
 from phytac_shapes.errors import DesignError
 from tests.designs import DRAWN, drawn, small
 
@@ -64,7 +65,8 @@ def test_tighter_tolerances_cost_more_and_hold(error: ForceError) -> None:
 def test_unreachable_tolerance_is_rejected_with_the_best(
     error: ForceError, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(choose_module, "REFINES", (2, 3))
+    few = [replace(DRAFT, refine=refine) for refine in (2, 3)]
+    monkeypatch.setattr(choose_module, "pilot_of", lambda _, error: (ForcePilot(error), few))
     with pytest.raises(DesignError, match=r"no setting has a predicted force error within 1e-05 %"):
         choose_tolerance(error.design, 1e-7, error=error)
     for bad in (0.0, -0.1, 1.5, float("nan")):

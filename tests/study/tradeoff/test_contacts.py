@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phytac_design.layout.arc import by_area
-from phytac_design.study.tradeoff.standard_contacts import rim_points, standard_contacts
+from phytac_design.study.tradeoff.force import standard_contacts
 from phytac_shapes.errors import DesignError
 from tests.designs import drawn, small
 
@@ -14,9 +14,11 @@ def test_contacts_stand_off_every_rim(kind: str) -> None:
     design = drawn(kind, 3)
     surface = design.surface()
     contacts = standard_contacts(design, surface, 12)
-    rim = np.concatenate([np.zeros((0, 3)), *rim_points(surface)])
-    gap = np.linalg.norm(surface.point(contacts.uv)[:, None] - rim[None], axis=2)
-    assert gap.min() >= 2.0 * contacts.radius_mm - 1e-9
+    for axis, end in surface.edges():
+        uv = np.full((129, 2), surface.domain[axis, end])
+        uv[:, 1 - axis] = np.linspace(*surface.domain[1 - axis], len(uv))
+        gap = np.linalg.norm(surface.point(contacts.uv)[:, None] - surface.point(uv), axis=2)
+        assert gap.min() >= 2.0 * contacts.radius_mm[0] - 1e-9
     assert len(np.unique(contacts.uv, axis=0)) == len(contacts.uv) == 12
     again = standard_contacts(design, design.surface(), 12)
     assert np.array_equal(contacts.uv, again.uv)

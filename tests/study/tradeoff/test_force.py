@@ -7,7 +7,7 @@ import pytest
 
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.study.tradeoff.force import ForceError, extrapolated, fit_forces, rms
-from phytac_design.study.tradeoff.pilot import FORCE_SAFETY, ForcePilot
+from phytac_design.study.tradeoff.pilot import ForcePilot
 from tests.designs import drawn
 
 DRAFT = PRESETS["draft"]
@@ -67,7 +67,7 @@ def test_the_pilot_predicts_the_error(error: ForceError) -> None:
     for refine, orders, share in ((2, 1, 1.2), (3, 3, 0.8), (6, 1, 0.55), (6, 3, 0.55)):
         setting = replace(DRAFT, refine=refine, place_orders=orders, place_share=share)
         got = rms(error.errors(setting))
-        assert got <= pilot.predict(setting) <= 2.0 * FORCE_SAFETY * got
+        assert got <= pilot.predict(setting) <= 2.0 * pilot.safety * got
 
 
 def test_one_setting_alone(error: ForceError) -> None:

@@ -1,7 +1,6 @@
 """Fronts, settings and the journal of measured points."""
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ from phytac_design.design.design_file import to_toml
 from phytac_design.design.spec import Design
 from phytac_design.study.tradeoff import points as points_module
 from phytac_design.study.tradeoff.front import MeasuredSetting, beaten_by, knee, pareto
-from phytac_design.study.tradeoff.joint import CAD, LOAD, LOAD_REFINE, MECHANICS, SCORE
+from phytac_design.study.tradeoff.joint import JointGrid
 from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
 from phytac_design.study.tradeoff.run_tradeoff import tradeoff
 from phytac_design.study.tradeoff.settings import QUANTITIES, SETTINGS, setting_named
@@ -62,12 +61,13 @@ def test_every_setting_of_a_build_is_read_by_a_stage() -> None:
 
 
 def test_presets_are_joint_settings() -> None:
+    grid = JointGrid()
     joint = [
         accuracy_of({**a, **b, **c, **d, "receptors": True})
-        for a in CAD
-        for b in MECHANICS
-        for c, least in zip(LOAD, LOAD_REFINE, strict=True)
-        for d in SCORE
+        for a in grid.cad
+        for b in grid.mechanics
+        for c, least in zip(grid.load, grid.load_refine, strict=True)
+        for d in grid.score
         if b["refine"] >= least
     ]
     for name, preset in PRESETS.items():
@@ -84,14 +84,14 @@ def test_measured_points_survive_a_restart(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(points_module, "measure_apart", answer)
     point = Point(kind="force", name="force", settings={"each": [{"refine": 3}]})
     first = Points(design, tmp_path).get(point)
-    assert Points(design, tmp_path).get(point) == first | {"point": asdict(point)}
+    assert Points(design, tmp_path).get(point) == first
     assert measured == [point]
     # Another setting, another design, or a torn file is measured again.
     Points(design, tmp_path).get(Point(kind="force", name="force", settings={"each": []}))
     Points(drawn("plane", 1), tmp_path).get(point)
     assert len(measured) == 3
-    for path in (tmp_path / "points").glob("*.json"):
-        path.write_text(path.read_text()[:20])
+    for path in (tmp_path / "points").rglob("*.bin"):
+        path.write_bytes(path.read_bytes()[:20])
     Points(design, tmp_path).get(point)
     assert len(measured) == 4
 
@@ -116,11 +116,11 @@ def test_command_measures_one_setting(tmp_path: Path, monkeypatch: pytest.Monkey
     app.command()(tradeoff_command)
     path = tmp_path / "dome.toml"
     path.write_text(to_toml(drawn("hemisphere", 1)), encoding="utf-8")
-    arguments = [str(path), "--only", "precision", "--out", str(tmp_path / "out"), "--json"]
+    arguments = [str(path), "--only", "image_size", "--out", str(tmp_path / "out"), "--json"]
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     data = json.loads(done.stdout)
-    assert set(data["knobs"]) == {"precision"}
+    assert set(data["knobs"]) == {"image_size"}
     assert data["joint"] == []
     assert not (tmp_path / "out" / "front.png").exists()
 
@@ -147,8 +147,9 @@ def test_tradeoff_writes_json_tables_and_pictures(
     done = tradeoff(design, tmp_path, progress=lambda _: None)
     assert set(done.presets) == set(PRESETS)
     data = json.loads((tmp_path / "tradeoff.json").read_text())
-    pairs = sum(m["refine"] >= least for m in MECHANICS for least in LOAD_REFINE)
-    assert len(data["joint"]) == len(CAD) * pairs * len(SCORE)
+    grid = JointGrid()
+    pairs = sum(m["refine"] >= least for m in grid.mechanics for least in grid.load_refine)
+    assert len(data["joint"]) == len(grid.cad) * pairs * len(grid.score)
     assert [v["errors"]["force"] for v in data["knobs"]["refine"]["values"]] == sorted(
         (1.0 / (1.0 + r) for r in (2, 3, 4, 5, 6, 8)), reverse=True
     )
