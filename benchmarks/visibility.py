@@ -1,6 +1,6 @@
-"""What cameras see: lenses against Embree rays, growth with the markers, layouts, density, a frame.
+"""What cameras see: lenses against Embree rays, layouts, density, a frame.
 
-``python -m benchmarks.visibility [--quick] [--parts maps,lenses,growth,layouts]``
+``python -m benchmarks.visibility [--quick] [--parts maps,lenses,layouts]``
 """
 
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks import visibility_growth, visibility_layouts, visibility_lenses
+from benchmarks import visibility_layouts, visibility_lenses
 from benchmarks.harness import Table, run_parts
 from benchmarks.visibility_lenses import busy, scene_at, seconds
 from phytac_design.design.design_file import load_design
@@ -39,7 +39,6 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     return {
         "maps": maps,
         "lenses": partial(visibility_lenses.add_rows, quick=quick),
-        "growth": partial(visibility_growth.add_rows, quick=quick),
         "layouts": partial(visibility_layouts.add_rows, quick=quick),
     }
 
