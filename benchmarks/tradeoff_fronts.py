@@ -7,10 +7,9 @@ from benchmarks.harness import RESULTS, Table
 from benchmarks.tradeoff_journal import folder
 from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.design_file import load_design
-from phytac_design.study.tradeoff.front import MeasuredSetting, beaten_by, knee
+from phytac_design.study.tradeoff.front import MeasuredSetting, beaten_by, joint_fronts, knee
 from phytac_design.study.tradeoff.points import accuracy_of
 from phytac_design.study.tradeoff.run_tradeoff import presets_of, tradeoff
-from phytac_design.study.tradeoff.tradeoff_plots import joint_fronts
 
 DESIGNS = ("cylinder60", "hemisphere", "grip")
 FRONTS = RESULTS / "tradeoff_fronts.json"

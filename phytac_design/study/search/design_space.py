@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
@@ -84,7 +85,7 @@ class DesignSpace:
         DesignError
             If they make no valid design.
         """
-        data = _copied(self.base)
+        data = deepcopy(self.base)
         for field, value in params.items():
             _put(data, field, value)
         if name:
@@ -115,13 +116,6 @@ def make_space(study: Study, folder: Path, base: Design | None = None) -> Design
 
 def _parts(field: str) -> list[str | int]:
     return [int(part) if part.isdigit() else part for part in field.split(".")]
-
-
-def _copied(value: Any) -> Any:
-    """Deep copy of plain values; several times quicker than ``copy.deepcopy``."""
-    if isinstance(value, dict):
-        return {key: _copied(item) for key, item in value.items()}
-    return [_copied(item) for item in value] if isinstance(value, list) else value
 
 
 def _put(data: Any, field: str, value: Any) -> None:

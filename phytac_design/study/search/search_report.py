@@ -12,10 +12,9 @@ from scipy.stats import spearmanr
 
 from phytac_design.core.json_values import finite
 from phytac_design.study.search.measures import MEASURES, measures_up_to
-from phytac_design.study.search.pareto import front
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.study_folder import read_columns, read_study
-from phytac_design.study.search.successive_halving import OK
+from phytac_design.study.search.successive_halving import OK, front
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import OutputError
 

@@ -23,9 +23,8 @@ from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.design_space import DesignSpace, Params, make_space
 from phytac_design.study.search.fidelity_levels import LEVEL_FUNCTIONS, Candidate
 from phytac_design.study.search.measures import LEVELS, MEASURES, best_proxy
-from phytac_design.study.search.pareto import ranks
 from phytac_design.study.search.study_file import Study
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError, PhytacError
 
 OK, REFUSED, UNFIT, DROPPED, FAILED = "ok", "refused", "unfit", "dropped", "failed"
@@ -217,3 +216,23 @@ def predicted_objectives(study: Study, found: Sequence[Mapping[str, float]]) -> 
         if name
     ]
     return np.array(columns, dtype=np.float64).reshape(len(columns), len(found)).T
+
+
+def front(values: FloatArray) -> BoolArray:
+    """Non-dominated rows (n,) of (n, k) values to minimise; equal rows all count."""
+    out = np.ones(len(values), dtype=np.bool_)
+    for number, own in enumerate(values):
+        if out[number]:
+            out &= ~(np.all(values >= own, axis=1) & np.any(values > own, axis=1))
+    return out
+
+
+def ranks(values: FloatArray) -> IntArray:
+    """Number of the front (n,) that each of (n, k) values is on, once earlier ones are removed."""
+    out = np.full(len(values), -1, dtype=np.int64)
+    remaining, number = np.arange(len(values)), 0
+    while len(remaining):
+        best = front(values[remaining])
+        out[remaining[best]] = number
+        remaining, number = remaining[~best], number + 1
+    return out

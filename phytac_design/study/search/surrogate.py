@@ -22,7 +22,6 @@ import numpy as np
 from scipy.special import j1
 
 from phytac_decoder.camera.camera import Camera, stack_views
-from phytac_design.layout.arc import CELLS
 from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.cramer_rao import CramerRaoBound, cell_prior, contact_signals
 from phytac_shapes import Surface
@@ -53,7 +52,7 @@ class MetricLengths:
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
         (u0, u1), (v0, v1) = surface.domain
-        self.edges = np.linspace(u0, u1, CELLS // 8 + 1)
+        self.edges = np.linspace(u0, u1, 129)
         middle = (self.edges[:-1] + self.edges[1:]) / 2.0
         metric = surface.metric(np.column_stack([middle, np.full(len(middle), (v0 + v1) / 2.0)]))
         steps = np.sqrt(metric[:, 0, 0]) * np.diff(self.edges)

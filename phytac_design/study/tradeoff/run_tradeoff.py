@@ -11,7 +11,14 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
 from phytac_design.rules.check import check_design
-from phytac_design.study.tradeoff.front import MeasuredSetting, beaten_by, knee, pareto
+from phytac_design.study.tradeoff.front import (
+    MeasuredSetting,
+    beaten_by,
+    joint_fronts,
+    knee,
+    pareto,
+    setting_fronts,
+)
 from phytac_design.study.tradeoff.joint import joint_settings, score_error
 from phytac_design.study.tradeoff.pilot import visibility_error
 from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
@@ -147,8 +154,6 @@ def tradeoff(
 
 def write(out: Path, done: Tradeoff) -> None:
     """Write JSON, tables and pictures."""
-    from phytac_design.study.tradeoff.tradeoff_plots import joint_fronts, setting_fronts
-
     text = json.dumps(done.as_dict(), indent=1, ensure_ascii=False)
     (out / "tradeoff.json").write_text(text + "\n", encoding="utf-8")
     (out / "tradeoff.txt").write_text(done.text() + "\n", encoding="utf-8")

@@ -49,12 +49,6 @@ class Setting:
         return tuple(stage.name for stage in STAGES if self.name in stage.settings)
 
 
-def _choice(
-    name: str, values: tuple[float | str, ...], quantity: Quantity, unit: str, description: str
-) -> Setting:
-    return Setting(name, values, quantity, description, unit, of_build=False)
-
-
 SETTINGS: tuple[Setting, ...] = (
     Setting("cad_tolerance_mm", (0.1, 0.05, 0.02, 0.01, 0.005), "volume", "CAD tessellation"),
     Setting("refine", (2, 3, 4, 5, 6, 8), "force", "mesh refinement"),
@@ -66,12 +60,25 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("frames", (5, 20, 50, 100), "score", "rendered frames that are decoded"),
     Setting("press_places", (8, 20, 40, 120), "visibility", "places pressed under the camera"),
     Setting("press_tolerance", (1.0, 0.1, 0.05, 0.02), "visibility", "linear or large there"),
-    _choice("image_size", (0.25, 0.5, 0.75, 1.0), "visibility", "px", "pixels each way"),
-    _choice(
-        "displacement", ("linear", "auto", "large"), "force", "relative", "theory of the simulation"
+    Setting(
+        "image_size", (0.25, 0.5, 0.75, 1.0), "visibility", "pixels each way", "px", of_build=False
     ),
-    _choice("route", ("points", "frames"), "visibility", "px", "centroids given or rendered"),
-    _choice("estimator", ("koi_inverse", "fem", "auto"), "force", "relative", "of the decoder"),
+    Setting(
+        "displacement",
+        ("linear", "auto", "large"),
+        "force",
+        "theory of the simulation",
+        of_build=False,
+    ),
+    Setting(
+        "route",
+        ("points", "frames"),
+        "visibility",
+        "centroids given or rendered",
+        "px",
+        of_build=False,
+    ),
+    Setting("estimator", ("koi_inverse", "fem", "auto"), "force", "of the decoder", of_build=False),
 )
 """All settings and choices; errors are against the last value or the quantity's own limit."""
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from phytac_design.study.search.pareto import front, ranks
 from phytac_design.study.search.sampler import Search, Sweep, sobol
-from phytac_design.study.search.successive_halving import OK, UNFIT
+from phytac_design.study.search.successive_halving import OK, UNFIT, front, ranks
 from phytac_shapes.errors import DesignError
 from tests.study.search.studies import space_of, tiny
 
