@@ -1,5 +1,6 @@
 """The command that shows a design with controls in a browser."""
 
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
@@ -24,13 +25,13 @@ def studio(
     Designs are read from and saved in the current folder; builds are written to its subfolder
     `exports`, and its studies are listed.
     """
-    from phytac_design.studio.server import StudioServer, open_browser
+    from phytac_design.studio.server import StudioServer
 
     server = StudioServer(Path.cwd(), design, port=port)
 
     def ready(url: str) -> None:
         say(f"the studio of {Path.cwd()}: {url} (for this machine only; Ctrl-C stops)")
-        if browser and not open_browser(url):
+        if browser and not webbrowser.open(url):
             say("no browser was found; open that address in one")
 
     try:

@@ -5,6 +5,9 @@ import numpy as np
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
+MIDDLE = (0.125, 0.792)
+"""Middle of the sensor as fractions of its length: heights 15 to 95 mm of 120 (paper)."""
+
 
 def along_mm(surface: Surface, uv: FloatArray) -> FloatArray:
     """Return the distance of chart positions from the near rim along the unwrapped surface, mm."""
@@ -23,5 +26,4 @@ def length_mm(surface: Surface) -> float:
 def middle_mm(surface: Surface) -> tuple[float, float]:
     """Return the bounds of the middle of this sensor, mm."""
     length = length_mm(surface)
-    # As fractions of the length: heights 15 to 95 mm of 120 (paper).
-    return 0.125 * length, 0.792 * length
+    return MIDDLE[0] * length, MIDDLE[1] * length

@@ -35,7 +35,6 @@ class BuildRunner:
         self.root = root
         self._process: asyncio.subprocess.Process | None = None
         self._watch: asyncio.Task[None] | None = None
-        self._changed = asyncio.Condition()
         self._lines: list[str] = []
         self._state: Json = {"state": "none"}
         self._number = 0
@@ -115,7 +114,7 @@ class BuildRunner:
                     continue  # a line above the limit is dropped
                 if not line:
                     break
-                await self._add_line(line.decode("utf-8", "replace").rstrip())
+                self._add_line(line.decode("utf-8", "replace").rstrip())
             code = await process.wait()
         finally:
             shutil.rmtree(path.parent, ignore_errors=True)
@@ -136,9 +135,8 @@ class BuildRunner:
                 "code": errors[-1][1] if errors else "",
             }
         self._state["seconds"] = round(time.monotonic() - self._start_s, 1)
-        await self._add_line("")
 
-    async def _add_line(self, line: str) -> None:
+    def _add_line(self, line: str) -> None:
         if line and len(self._lines) < 2000:
             self._lines.append(line)
         # A stage's number, their count, its name, and a figure behind it if it has ended.
@@ -147,8 +145,6 @@ class BuildRunner:
             ended = stage[4] is not None
             self._state["done"] = round((int(stage[1]) - (not ended)) / max(int(stage[2]), 1), 3)
             self._state["stage"] = stage[3]
-        async with self._changed:
-            self._changed.notify_all()
 
     async def events(self) -> AsyncIterator[Json]:
         """State and new lines, repeatedly until the build has ended."""
@@ -160,9 +156,7 @@ class BuildRunner:
             yield self.state() | {"lines": fresh}
             if not running:
                 return
-            async with self._changed:
-                with suppress(TimeoutError):
-                    await asyncio.wait_for(self._changed.wait(), 1.0)
+            await asyncio.sleep(0.2)
 
     async def stop(self) -> Json:
         """Stop the build and its processes; finished stages stay in the cache."""

@@ -3,7 +3,6 @@
 import asyncio
 import secrets
 import socket
-import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 
@@ -94,11 +93,3 @@ def _listen(port: int) -> socket.socket:
             f"cannot listen at 127.0.0.1, port {port} ({reason}); give another --port",
         ) from None
     return listener
-
-
-def open_browser(url: str) -> bool:
-    """Open a browser; False if there is none."""
-    try:
-        return webbrowser.open(url)
-    except webbrowser.Error:
-        return False

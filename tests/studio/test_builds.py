@@ -146,7 +146,7 @@ def test_the_studio_ends_with_its_build(tmp_path: Path) -> None:
         "import sys, typer; real = sys.executable\n"
         "from phytac_design.cli.studio_command import studio\n"
         "import phytac_design.studio.build_process as builds\n"
-        f"sys.executable = {str(path)!r}; builds.STOP_TIMEOUTS_S = (1.0, 1.0)\n"
+        f"sys.executable = {str(path)!r}; builds.BuildRunner.stop_timeouts_s = (1.0, 1.0)\n"
         "typer.run(studio)"
     )
     words = [sys.executable, "-c", code, "short.toml", "--no-browser"]

@@ -208,7 +208,10 @@ def test_saving_over_the_wire(client: Client, place: Path, data: Json) -> None:
     assert status == 200
     assert load_design(str(place / "wire.toml")).name == "short"
     status, answer = client.post("api/save", body)
-    assert (status, answer) == (409, {"ask": "wire.toml exists already; overwrite it?"})
+    assert (status, answer) == (
+        409,
+        {"ask": "wire.toml exists already; overwrite it?", "code": "overwrite-unconfirmed"},
+    )
     assert client.post("api/save", {**body, "replace": opened["digest"]})[0] == 200
     assert client.post("api/save", {**body, "force": True})[0] == 200
     assert client.post("api/save", {**body, "force": 1})[0] == 400
