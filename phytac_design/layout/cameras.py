@@ -216,28 +216,6 @@ def _raise_rim_hidden(camera: Camera, rim: FloatArray, side: str, where: str, fi
     )
 
 
-def check_bar_clearance(design: Design, surface: Surface, markers: Markers) -> None:
-    """Raise a ``DesignError`` if the light bar intersects a receptor's end face or its red tip."""
-    radius = design.light.bar_radius_mm
-    near, far = bar_span_mm(design, surface) if radius > 0.0 else (0.0, 0.0)
-    if near >= far:
-        return
-    axis = (markers.tip_mm - markers.base_mm) / markers.height_mm[:, None]
-    out = max(design.switch.stroke_mm - design.switch.tip_recess_mm, 0.0)
-    reach = markers.tip_mm + np.linspace(0.0, out, 5)[:, None, None] * axis
-    beside = (reach[..., 2] > near) & (reach[..., 2] < far)
-    distance = np.where(beside, np.linalg.norm(reach[..., :2], axis=-1), np.inf)
-    least = float(distance.min())
-    if least <= radius:
-        row = int(markers.row[distance.min(axis=0).argmin()])
-        raise DesignError(
-            "light-bar-hits-tips",
-            f"the light bar intersects receptor tips: in row {row} a tip with its switch on comes "
-            f"within {least:.2f} mm of the axis, the bar's radius is {radius:g} mm; lower "
-            f"light.bar_radius_mm below {least:.2f} or layout.height_far_mm",
-        )
-
-
 def tolerance_mm(camera: Camera, markers: Markers) -> FloatArray:
     """Tessellation tolerance of each receptor: a tenth of a pixel at its end face, (n,) mm."""
     tolerance_px = 0.1  # distance between polygons and the circles that they approximate, in pixels

@@ -11,7 +11,7 @@ from phytac_decoder.vision.segmentation import ColourModel, segment
 from phytac_decoder.vision.switch_detection import RED_RATIO_MIN
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
-from phytac_design.layout.cameras import camera_of, check_bar_clearance, tolerance_mm
+from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.gaps import marker_gaps
@@ -121,11 +121,10 @@ def check_visibility(
     Raises
     ------
     DesignError
-        If the camera cannot work or the light bar reaches a receptor.
+        If the camera cannot work.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     camera = camera or camera_of(design, surface)
-    check_bar_clearance(design, surface, markers)
     tolerance = tolerance_mm(camera, markers)
     all_on = np.ones(markers.count, dtype=bool)
     rest = build_scene(sensor, tolerance_mm=tolerance)

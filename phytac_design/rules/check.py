@@ -2,7 +2,6 @@
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.hardware_assembly import check_hardware
-from phytac_design.layout.cameras import check_bar_clearance
 from phytac_design.layout.region_chart import design_regions
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
@@ -45,7 +44,6 @@ def check_design(design: Design) -> Sensor:
     check_cameras(sensor)
     for camera in sensor.cameras:
         sharpness(design.camera, camera, sensor.surface, markers)
-    check_bar_clearance(design, sensor.surface, markers)
     rubber_of(design)
     check_hardware(design, sensor.surface)
     return sensor

@@ -7,7 +7,7 @@ import pytest
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import KannalaBrandt
 from phytac_design.layout import make_markers
-from phytac_design.layout.cameras import camera_of, cameras_of, check_bar_clearance, tolerance_mm
+from phytac_design.layout.cameras import camera_of, cameras_of, tolerance_mm
 from phytac_shapes import Cylinder
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
@@ -120,17 +120,6 @@ def test_a_camera_in_the_wall_is_refused() -> None:
     surface = Lid(diameter_outer_mm=60.0, length_mm=120.0)
     with pytest.raises(DesignError, match=r"inside the shell wall \(0\.31 mm below"):
         camera_of(make_design(camera=FULL), surface)
-
-
-def test_a_light_bar_that_swallows_tips_is_refused() -> None:
-    def check(radius: float) -> None:
-        design = make_design(camera=FULL, light={"bar_radius_mm": radius})
-        surface = design.surface()
-        check_bar_clearance(design, surface, make_markers(design, surface))
-
-    check(16.4)  # tips with their switch on end at 29.2 - 11.5 - 1.2 = 16.5 mm
-    with pytest.raises(DesignError, match=r"row 22 .* 16\.50 mm"):
-        check(16.6)
 
 
 def test_tolerance_of_receptors_beyond_the_field_is_finite() -> None:

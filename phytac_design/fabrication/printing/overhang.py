@@ -137,17 +137,6 @@ def stand(
     )
 
 
-def _facings(tree: RayTree) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Directions (k, 3) that faces look in, their areas (k,), and area times middle (k, 3)."""
-    facing = 0.005  # normals so alike count as one in the search
-    whole = np.round(tree.normal / facing).astype(np.int64)
-    key = (whole[:, 0] * 1000 + whole[:, 1]) * 1000 + whole[:, 2]
-    used, first, number = np.unique(key, return_index=True, return_inverse=True)
-    moment = _moments(tree, np.arange(len(number)), number, len(used))
-    area = np.bincount(number, tree.area_mm2, len(used))
-    return tree.normal[first], np.asarray(area, dtype=np.float64), moment
-
-
 def _moments(tree: RayTree, triangle: IntArray, label: IntArray, count: int) -> FloatArray:
     """Area times middle of triangles (k,), summed by their label, (count, 3)."""
     middle = tree.area_mm2[triangle, None] * tree.corners[triangle].mean(axis=1)
@@ -177,7 +166,6 @@ def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Ori
 
     Directions in which the body fits the bed come first, then those without cups, then the cost.
     """
-    axes = 6  # directions along the axes, which come first
     finalists = 40  # cheapest directions that are searched for one without cups
     ups = directions()
     if len(mesh.vertices_mm) < 4:
@@ -187,20 +175,13 @@ def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Ori
     hull = mesh.vertices_mm[ConvexHull(mesh.vertices_mm).vertices]
     figures = np.zeros((len(ups), 3))
     fits = np.zeros(len(ups), dtype=np.bool_)
-    normal, area, moment = _facings(tree)
-    flattest = np.cos(np.radians(rules.overhang_deg)) + 1e-9
     for k, up in enumerate(ups):
         height, _, fits[k] = on_bed(hull, up, rules)
-        hanging = normal @ -up > flattest
-        # Faces on the bed hang over nothing: they count where whole faces lie level.
-        level = overhanging(tree, up, rules) if k < axes else None
-        low = float((hull @ up).min())
-        drop = moment[hanging] @ up - low * area[hanging]
-        figures[k] = (
-            float(area[hanging].sum() if level is None else tree.area_mm2[level].sum()),
-            float((normal[hanging] @ -up) @ drop),
-            height,
-        )
+        own = overhanging(tree, up, rules)
+        area, middle = tree.area_mm2[own], tree.corners[own].mean(axis=1)
+        # Supports as if all stood on the bed: a bound, and a fair measure between directions.
+        support = area * -(tree.normal[own] @ up) * (middle @ up - float((hull @ up).min()))
+        figures[k] = area.sum(), support.sum(), height
     typical = np.median(figures, axis=0)
     cost = (figures / np.where(typical > 0.0, typical, 1.0)).sum(axis=1)
     pool = np.flatnonzero(fits) if fits.any() else np.arange(len(ups))
