@@ -5,6 +5,7 @@ A bad path raises ``OSError`` with the reason in ``strerror``; a bad text raises
 
 import errno
 import os
+import re
 import stat
 import tomllib
 from collections.abc import Iterable
@@ -89,22 +90,11 @@ def toml_table(text: str) -> dict[str, Any]:
     ValueError
         If it is not TOML, or nested too deeply, or a number in it has thousands of digits.
     """
-    # Most names in one dotted key; a parser's work grows with the square of their number.
-    key_parts_max = 64
-    for line in text.splitlines():
-        if line.count(".") > key_parts_max and _parts(line) > key_parts_max:
-            raise ValueError(f"a key has more than {key_parts_max} names joined by dots")
+    # A parser's work grows with the square of the number of names in one dotted key.
+    name = r"""(?:"[^"\n]*+"|'[^'\n]*+'|[^\s.,="'\[\]{}]++)"""
+    if re.search(rf"(?:^|[\[{{,])[ \t]*(?:{name}[ \t]*\.[ \t]*){{64}}", text, re.MULTILINE):
+        raise ValueError("a key has more than 64 names joined by dots")
     try:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("its lists or tables are nested too deeply") from None
-
-
-def _parts(line: str) -> int:
-    """Most names that a key in this line may have."""
-    keys = line.split("=")
-    if not line.lstrip().startswith("["):
-        # Behind the last sign stands a value.
-        keys.pop()
-    starts = [max(key.rfind(","), key.rfind("{")) + 1 for key in keys]
-    return max((key.count(".", at) for key, at in zip(keys, starts, strict=True)), default=0)

@@ -11,13 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from phytac_design.datasets import samples as model
 from phytac_design.datasets import samples_writer
 from phytac_design.datasets.samples import split_sequences
 from phytac_design.datasets.samples_check import ARRAYS, COUNTS
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import SHIFT_STEP_PX, file_hash, write_samples
-from phytac_design.simulation import indenters
 from phytac_shapes.errors import InputError
 from tests.decoder.drawn_samples import META, assert_same, drawn
 
@@ -83,10 +81,6 @@ def test_large_data_come_back(tmp_path: Path) -> None:
     far = replace(made, shift_px=made.shift_px * 40.0)
     write_samples(tmp_path, far, META)
     assert_same(read_samples(tmp_path)[0], far)
-
-
-def test_codes_are_the_twins() -> None:
-    assert model.INDENTERS == indenters.INDENTERS
 
 
 def test_the_table_of_arrays_is_true() -> None:

@@ -118,7 +118,7 @@ class RecordingSource(Source):
             self.missed += 1
             return None
         try:
-            images = tuple(track.retrieve() for track in self._tracks)
+            images = tuple(image.read() for image in self._steps.now)
         except InputError as error:
             self.skipped += 1
             self._report(f"frame {number} skipped: {error}")
@@ -132,7 +132,7 @@ class RecordingSource(Source):
             if wait > 0.0:
                 self._sleep(wait)
         elif self._tracks[0].stamped:
-            self._stamps.append(self._tracks[0].time_s())
+            self._stamps.append(self._steps.now[0].time_s)
             stamp = self._offset_s + self._stamps[-1]
         else:
             stamp = now - self._started_s
@@ -145,8 +145,7 @@ class RecordingSource(Source):
         return (self._clock_s() - self._started_s) * self._fps >= number + 1
 
     def _rewind(self) -> None:
-        for track in self._tracks:
-            track.rewind()
+        self._steps.rewind()
         if self._stamps:
             first, last, steps = self._stamps[0], self._stamps[-1], len(self._stamps) - 1
             # One usual interval between the last frame and the first of the next round.
@@ -155,8 +154,7 @@ class RecordingSource(Source):
 
     def close(self) -> None:
         """Close files."""
-        for track in self._tracks:
-            track.close()
+        self._steps.rewind()
 
 
 def open_source(

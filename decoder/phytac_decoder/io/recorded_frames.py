@@ -3,8 +3,10 @@
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -13,6 +15,18 @@ from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+class RecordedImage(NamedTuple):
+    """An image of a recording.
+
+    ``at`` counts the images up to this one, this and lost ones included; ``time_s`` is the time at
+    which it was taken, if the recording contains it; ``read`` raises InputError if it is torn.
+    """
+
+    at: int
+    time_s: float
+    read: Callable[[], ImageArray]
 
 
 class ImageSequence(ABC):
@@ -32,8 +46,6 @@ class ImageSequence(ABC):
         Usual time between images; 0 if not known.
     span_s : tuple of float
         Times of the first and the last; infinity if not known.
-    at : int
-        Images up to the current one, this and lost ones included.
     """
 
     description: str
@@ -42,26 +54,10 @@ class ImageSequence(ABC):
     announced: int | None = None
     interval_s: float = 0.0
     span_s: tuple[float, float] = (0.0, math.inf)
-    at: int = 0
 
     @abstractmethod
-    def grab(self) -> bool:
-        """Advance to the next readable image; False after the last."""
-
-    @abstractmethod
-    def retrieve(self) -> ImageArray:
-        """Return the current image; raises InputError if it is torn."""
-
-    @abstractmethod
-    def time_s(self) -> float:
-        """Time at which the current image was taken, if the recording contains it."""
-
-    @abstractmethod
-    def rewind(self) -> None:
-        """Return to before the first image."""
-
-    def close(self) -> None:  # noqa: B027 - most have nothing to close
-        """Close files."""
+    def images(self) -> Iterator[RecordedImage]:
+        """Readable images from the first on."""
 
 
 class ImageFolder(ImageSequence):
@@ -102,24 +98,10 @@ class ImageFolder(ImageSequence):
         self.span_s = self._times[0], self._times[-1]
         self.interval_s = float(np.median(np.diff(self._times))) if len(files) > 1 else 0.0
 
-    def grab(self) -> bool:
-        """Advance to the next image; False after the last."""
-        if self.at == len(self._files):
-            return False
-        self.at += 1
-        return True
-
-    def retrieve(self) -> ImageArray:
-        """Return the current image."""
-        return read_image(self._files[self.at - 1])
-
-    def time_s(self) -> float:
-        """Time in its name."""
-        return self._times[self.at - 1]
-
-    def rewind(self) -> None:
-        """Return to before the first image."""
-        self.at = 0
+    def images(self) -> Iterator[RecordedImage]:
+        """All files in their order."""
+        for number, (file, time_s) in enumerate(zip(self._files, self._times, strict=True)):
+            yield RecordedImage(number + 1, time_s, partial(read_image, file))
 
 
 class VideoFile(ImageSequence):
@@ -133,62 +115,53 @@ class VideoFile(ImageSequence):
 
     def __init__(self, where: Path) -> None:
         self.description = str(where)
-        self._open()
+        video = self._opened()
+        count = float(video.get(cv2.CAP_PROP_FRAME_COUNT))
+        # A header with an absurd number knows none.
+        self.announced = int(count) if 0.0 < count < 1e9 else None
+        rate = float(video.get(cv2.CAP_PROP_FPS))
+        self.interval_s = 1.0 / rate if 0.0 < rate < math.inf else 0.0
+        self.span_s = 0.0, (self.announced or math.inf) * (self.interval_s or math.inf)
+        video.release()
 
-    def _open(self) -> None:
-        self._video = cv2.VideoCapture(self.description)
-        if not self._video.isOpened():
+    def _opened(self) -> cv2.VideoCapture:
+        video = cv2.VideoCapture(self.description)
+        if not video.isOpened():
             raise InputError(
                 "file-not-image",
                 f"{self.description} is not a video or image that can be read; give an image (PNG, "
                 "JPEG), a folder of images, a video, or a camera's number",
             )
-        count = float(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
-        # A header with an absurd number knows none.
-        self.announced = int(count) if 0.0 < count < 1e9 else None
-        rate = float(self._video.get(cv2.CAP_PROP_FPS))
-        self.interval_s = 1.0 / rate if 0.0 < rate < math.inf else 0.0
-        self.span_s = 0.0, (self.announced or math.inf) * (self.interval_s or math.inf)
-        self.at, self._last_s = 0, 0.0
+        return video
 
-    def grab(self) -> bool:
-        """Advance to the next readable image; False after the last."""
-        left = (self.announced or 0) - self.at
-        failed = 0
-        while not self._video.grab():
-            # A damaged place in a video may take many grabs to pass; each fails at once.
-            if failed >= min(left, 300):
-                return False
-            failed += 1
-        now_s = self.time_s()
-        if failed and self.interval_s and now_s > self._last_s:
-            # One failure may stand for several images.
-            failed = round((now_s - self._last_s) / self.interval_s) - 1
-        self.at += 1 + max(min(failed, left - 1), 0)
-        self._last_s = now_s
-        return True
+    def images(self) -> Iterator[RecordedImage]:
+        """Images that can be grabbed, numbered as if none was lost in a damaged place."""
+        video, at, last_s = self._opened(), 0, 0.0
+        try:
+            while True:
+                left, failed = (self.announced or 0) - at, 0
+                while not video.grab():
+                    # A damaged place in a video may take many grabs to pass; each fails at once.
+                    if failed >= min(left, 300):
+                        return
+                    failed += 1
+                now_s = float(video.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
+                if failed and self.interval_s and now_s > last_s:
+                    # One failure may stand for several images.
+                    failed = round((now_s - last_s) / self.interval_s) - 1
+                at += 1 + max(min(failed, left - 1), 0)
+                last_s = now_s
+                yield RecordedImage(at, now_s, partial(self._decoded, video))
+        finally:
+            video.release()
 
-    def retrieve(self) -> ImageArray:
-        """Return the current image."""
-        good, image = self._video.retrieve()
+    def _decoded(self, video: cv2.VideoCapture) -> ImageArray:
+        good, image = video.retrieve()
         if not good or image is None:
             raise InputError(
                 "frame-not-decoded", f"a frame of {self.description} cannot be decoded"
             )
         return np.asarray(image, dtype=np.uint8)
-
-    def time_s(self) -> float:
-        """Time at which it is shown."""
-        return float(self._video.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
-
-    def rewind(self) -> None:
-        """Return to before the first image."""
-        self._video.release()
-        self._open()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._video.release()
 
 
 class SynchronisedTracks:
@@ -208,6 +181,8 @@ class SynchronisedTracks:
     ----------
     by_time : bool
         Whether images are paired by time.
+    now : list of RecordedImage
+        The current image of each camera.
     """
 
     pair_share = 0.55
@@ -223,16 +198,31 @@ class SynchronisedTracks:
             said = " and ".join(track.description for track in tracks)
             report(f"the times of {said} cannot be compared; their frames are paired in order")
 
+        self._images: list[Iterator[RecordedImage]] = []
+        self.rewind()
+
+    def rewind(self) -> None:
+        """Return to before the first image."""
+        self._images = [track.images() for track in self._tracks]
+        self.now = [RecordedImage(0, 0.0, partial(read_image, Path())) for _ in self._tracks]
+
+    def _advance(self, camera: int) -> bool:
+        """Advance one camera's recording; False after its last image."""
+        image = next(self._images[camera], None)
+        if image is not None:
+            self.now[camera] = image
+        return image is not None
+
     def grab(self, number: int) -> int:
         """Advance to the next pair, frame ``number`` if none is lost.
 
         Returns the number of frames passed, lost ones included, and 0 after the last.
         """
-        before = [track.at for track in self._tracks]
-        more = [track.grab() for track in self._tracks]
+        before = [image.at for image in self.now]
+        more = [self._advance(camera) for camera in range(len(self._tracks))]
         first = self._counted(before)
         while all(more) and (behind := self._behind()) is not None:
-            more[behind] = self._tracks[behind].grab()
+            more[behind] = self._advance(behind)
         if not all(more):
             self._report_end(more, number)
             return 0
@@ -248,24 +238,24 @@ class SynchronisedTracks:
         return steps
 
     def _counted(self, before: Sequence[int]) -> list[int]:
-        return [track.at - at for track, at in zip(self._tracks, before, strict=True)]
+        return [image.at - at for image, at in zip(self.now, before, strict=True)]
 
     def _behind(self) -> int | None:
         """The camera that has to advance alone; None if the images belong together."""
-        places = [track.time_s() if self.by_time else track.at for track in self._tracks]
+        places = [image.time_s if self.by_time else image.at for image in self.now]
         behind = places.index(min(places))
         apart = self.pair_share * self._tracks[behind].interval_s if self.by_time else 0.0
         return behind if max(places) - min(places) > apart else None
 
     def _report_end(self, more: Sequence[bool], number: int) -> None:
         """Report recordings that end too early."""
-        for track, advanced in zip(self._tracks, more, strict=True):
+        for track, image, advanced in zip(self._tracks, self.now, more, strict=True):
             expected = track.announced or 0
-            if advanced or track.at >= expected or track.description in self._reported:
+            if advanced or image.at >= expected or track.description in self._reported:
                 continue
             self._reported.add(track.description)
             self._report(
-                f"{track.description} ends after {track.at} frames, and its header promises "
+                f"{track.description} ends after {image.at} frames, and its header promises "
                 f"{expected}: it may be cut off or damaged (some formats only estimate that number)"
             )
         if any(more):
