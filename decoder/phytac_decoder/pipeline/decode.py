@@ -18,6 +18,8 @@ from phytac_shapes.errors import InputError
 FOUND_MIN, FOUND_WELL = 0.5, 0.95
 """A frame that shows fewer than the first of these fractions of the markers is rejected; below the
 second, forces are returned with a warning."""
+CAMERA_SHIFT_MAX_px = 0.75
+"""A larger median shift of a camera's markers means that the camera has moved, not the shell."""
 
 Frames = ImageArray | Sequence[ImageArray]
 """A frame of each camera, in the bundle's order; one camera's may stand alone."""
@@ -100,11 +102,11 @@ class FrameMeasurement:
 
     def _shifted_images(self, bundle: Bundle) -> list[str]:
         """Cameras whose markers have all shifted."""
-        out, shift_max_px = [], 0.75  # a larger median shift is the camera's, not the shell's
+        out = []
         for number in range(len(bundle.cameras)):
             own = (bundle.read_by == number) & self.found & np.isfinite(self.shift_px[:, 0])
             x, y = np.median(self.shift_px[own], axis=0) if own.any() else (0.0, 0.0)
-            if np.hypot(x, y) > shift_max_px:
+            if np.hypot(x, y) > CAMERA_SHIFT_MAX_px:
                 out.append(
                     f"the whole image{bundle.of_camera(number)} has shifted by ({x:.1f}, {y:.1f}) "
                     "px: the camera has moved; take a new rest frame"
