@@ -185,7 +185,7 @@ def solve_with_patience(name: str, index: int, contact: Contact) -> Solved:
                 name, index, contact, replace(sizes, reach_mm=reach * sizes.reach_mm)
             )
         except NumericalError as error:
-            if "cannot mesh" not in str(error) or reach == REACHES[-1]:
+            if error.code != "gmsh-failed" or reach == REACHES[-1]:
                 raise
             continue
         return replace(

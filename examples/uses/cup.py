@@ -1,15 +1,15 @@
 #!/usr/bin/env python
 """Can a robot hold a thin cup that it knows nothing about? Force feedback against none.
 
-A robot's thumb and finger close on a cup while it is filled. Below m·g/(2µ) the cup slips through,
-above its limit it is crushed. The hand commands a *closing*, mm; the force that comes of it depends
-on the cup's stiffness, which the controller does not know. With feedback it closes or opens by the
+A robot's thumb and finger close on a cup while it is filled. Below m·g/(2µ) the cup slips,
+above its limit it is crushed. The hand commands a *closing*, mm; the resulting force depends on
+the cup's stiffness, which the controller does not know. With feedback it closes or opens by the
 difference between the force it wants and the force it reads; without, it closes by what would be
 right for a cup of the usual stiffness.
 
-The sensor in the loop is the twin's: its solver bends the wall (linear, finer mesh than the
-decoder's), its switches have hysteresis, its eyes add the camera's noise. The thumb presses on one
-place of it and the finger on another; what it reads in all, over two, is the grip.
+The sensor in the loop is simulated: the solver bends the wall (linear, finer mesh than the
+decoder's), the switches have hysteresis, the imaging model adds the camera's noise. The thumb
+presses on one place and the finger on another; half of the total reading is the grip.
 """
 
 from dataclasses import dataclass, replace
@@ -32,18 +32,18 @@ G_N_KG, FRICTION = 9.81, 0.35
 EMPTY_KG, FULL_KG = 0.06, 0.25
 CRUSHED_N = 12.0
 WANTED_N = 8.0
-"""Between slipping, 3.5 N when full, and crushing, with room on both sides for reading wrongly."""
+"""Between slipping, 3.5 N when full, and crushing, with a margin for reading errors."""
 USUAL_N_MM = 1.0
 GAP_MM = 4.0
 """From the open hand to the cup."""
 STEP_MM = 0.5
-"""Most that the hand moves in a frame."""
+"""Maximum motion of the hand in a frame."""
 GAIN_MM_N = 0.06
 REACH_MM = 60.0
 
 
 class Sensor:
-    """The twin in the loop: forces of the two pads in, the decoder's message out."""
+    """The simulated sensor: forces of the two pads in, the decoder's message out."""
 
     def __init__(self, handle_: Handle) -> None:
         self._handle = handle_
@@ -53,7 +53,7 @@ class Sensor:
         self._solver = Solver(
             job.design, job.surface, unit, refine=job.refine, displacement="linear"
         )
-        self._eyes = imaging_model(job)
+        self._imaging = imaging_model(job)
         radius = job.design.switch.footprint_diameter_mm / 2.0
         self._shares = footprint_shares(job.surface, self._touches, unit.markers.uv, radius)
         self._unit, self._frame = unit, 0
@@ -64,7 +64,7 @@ class Sensor:
         self.start()
 
     def start(self) -> None:
-        """Forget what was pressed."""
+        """Reset the switches and the stream."""
         self._bits = np.zeros(len(self._unit.on_N), dtype=np.bool_)
         self._make, self._frame = messages_of(self._handle), 0
 
@@ -73,7 +73,7 @@ class Sensor:
         carried = force_N @ self._shares
         self._bits = switch_step(self._bits, carried, self._unit.on_N, self._unit.off_N)
         motion = sum(f * m for f, m in zip(force_N, self._motion, strict=True) if m is not None)
-        seen = self._eyes.points(np.asarray(motion), self._bits, rng=self._rng)
+        seen = self._imaging.points(np.asarray(motion), self._bits, rng=self._rng)
         self._frame += 1
         return self._make.frame(
             read(self._handle, seen.shift_px, seen.bits & seen.found),
@@ -94,7 +94,7 @@ class Cup:
         return self.stiffness_N_mm * max(closing_mm - GAP_MM, 0.0)
 
     def feel(self, grip_N: float, filled: float, *, lifted: bool) -> str:
-        """What becomes of it."""
+        """Update its state."""
         least = (EMPTY_KG + filled * (FULL_KG - EMPTY_KG)) * G_N_KG / (2.0 * FRICTION)
         if self.state in {"crushed", "dropped"}:
             return self.state
@@ -108,7 +108,7 @@ class Cup:
 def trial(
     sensor: Sensor, stiffness_N_mm: float, *, feedback: bool, frames: int
 ) -> dict[str, FloatArray | str]:
-    """Close, lift after two fifths of the time, fill; what the cup felt and what was read."""
+    """Close, lift after two fifths of the time, fill; true and decoded grip."""
     cup, closing = Cup(stiffness_N_mm=stiffness_N_mm), 0.0
     true, felt = np.zeros(frames), np.zeros(frames)
     aim = GAP_MM + WANTED_N / USUAL_N_MM
@@ -122,7 +122,7 @@ def trial(
             break
         message = sensor.read(np.full(2, grip))
         true[k], felt[k] = grip, message["total_N"] / 2.0
-        # Faster while nothing is felt, and slow enough to stop in time once something is.
+        # Fast in free motion, and slow enough to stop in time after contact.
         step = GAIN_MM_N * (WANTED_N - felt[k]) if feedback else aim - closing
         closing = float(np.clip(closing + np.clip(step, -STEP_MM, STEP_MM), 0.0, REACH_MM))
     return {"state": cup.state, "true_N": true, "read_N": felt}

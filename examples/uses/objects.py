@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""When does the egg break? Virtual objects that answer to the force of the hand.
+"""When does the egg break? Virtual objects that respond to the force of the hand.
 
 A hand closes around the handle up to 92 N, opens, and closes gently; an egg that is crushed at
 50 N, a vase at 80 N and a soft ball that gives between 5 and 20 N are in it in turn. Their state
@@ -41,7 +41,7 @@ class Brittle:
 
 @dataclass(kw_only=True)
 class Soft:
-    """A ball that gives way between two forces, and comes back."""
+    """A ball that is compressed between two forces, and recovers."""
 
     name: str
     first_N: float = 5.0
@@ -89,9 +89,10 @@ def main(out: Path, *, quick: bool = False) -> dict[str, FloatArray]:
     true_states, states = happened(truth), happened(found)
     for name, line in states.items():
         changes = [k for k in range(1, len(line)) if line[k] != line[k - 1]]
-        told = ", ".join(f"{line[k]} at {truth[k]:.0f} N ({found[k]:.0f} decoded)" for k in changes)
+        events = [f"{line[k]} at {truth[k]:.0f} N ({found[k]:.0f} decoded)" for k in changes]
         same = np.mean([a == b for a, b in zip(line, true_states[name], strict=True)])
-        print(f"{name}: {told}\n  as the true force would have it in {same:.0%} of frames")
+        print(f"{name}: {', '.join(events)}")
+        print(f"  as the true force would have it in {same:.0%} of frames")
     fig, axis = plt.subplots(figsize=(9, 4), layout="constrained")
     time_s = np.arange(len(truth)) / FPS
     axis.plot(time_s, truth, "k-", lw=0.8, label="true grip force")

@@ -1,7 +1,7 @@
 #!/usr/bin/env python
-"""What the examples share: simulate a hand on the handle, decode what it shows, record it.
+"""Shared by the examples: simulate a hand on the handle, decode its markers, record the forces.
 
-Nothing is fitted here: the sensor is the twin (finer mesh, large displacements, camera noise), the
+Nothing is fitted here: the sensor is simulated (finer mesh, large displacements, camera noise), the
 decoder is the bundle that `phytac build` makes.
 """
 
@@ -47,7 +47,7 @@ class Handle:
 
     @property
     def estimator(self) -> str:
-        """The one to use where none is asked for."""
+        """The default one."""
         return self.bundle.model.best
 
     @property
@@ -71,7 +71,7 @@ def hand(name: str) -> Scenario:
 
 
 def moving(scenario: Scenario, force_N: FloatArray, along: FloatArray | None = None) -> Scenario:
-    """The same pads with forces of your own in each sample, as contacts by hand.
+    """The same pads with other forces in each sample, as explicit contacts.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def moving(scenario: Scenario, force_N: FloatArray, along: FloatArray | None = N
 
 
 def press(sensor: Handle, scenario: Scenario, *, workers: int = 2) -> Samples:
-    """Simulate a scenario on the twin, or read it if it has been simulated already.
+    """Simulate a scenario, or read it if it has been simulated already.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def words(doc: str | None) -> argparse.Namespace:
 
 
 def quick_of(scenario: Scenario) -> Scenario:
-    """The same with a linear wall: an order of magnitude faster, and less true."""
+    """The same with a linear wall: an order of magnitude faster, less accurate."""
     data = scenario.model_dump(mode="json", exclude_unset=True)
     data["solve"] = {**data.get("solve", {}), "displacement": "linear"}
     return parse_scenario(data, scenario.name)

@@ -132,7 +132,7 @@ def test_a_broken_rule_stands_beside_its_control(seen: Seen) -> None:
     assert str(columns.get_attribute("aria-describedby")).endswith("-err")
     assert "cannot be built" in page.locator("#verdict").inner_text()
     columns.fill("")
-    error.filter(has_text="give a number").wait_for()
+    error.filter(has_text="enter a number").wait_for()
     columns.fill("14")
     seen.reached("checked")
     assert error.inner_text() == ""

@@ -38,7 +38,7 @@
 
   const find = (data, key) => data.colourings.find(item => item.key === key) || data.colourings[0];
 
-  // Colour [r, g, b] of each marker by one of the colourings.
+  // Colour [r, g, b] of each marker in a colouring.
   function of(data, colouring) {
     const numbers = values(colouring), bent = colouring.log ? Math.log : value => value;
     const low = bent(colouring.low), range = bent(colouring.high) - low || 1;
@@ -63,7 +63,7 @@
       item.label, show(values(item)[marker]) + (item.unit ? " " + item.unit : "")]);
   }
 
-  // What the colours mean, into an element.
+  // Write the legend into an element.
   function legend(element, data, colouring) {
     element.replaceChildren();
     const add = (tag, text, style) => {

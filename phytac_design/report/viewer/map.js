@@ -100,7 +100,7 @@
       self.select(found);
       if (self.onSelect) self.onSelect(found);
     }
-    // Marker of least cost(dx, dy) from a place of the drawing; -1 if none has a finite one.
+    // Marker with the minimum cost(dx, dy) from a point of the drawing; -1 if all are infinite.
     function best(from, cost) {
       let found = -1, least = Infinity;
       for (let i = 0; i < dots.length; i++) {

@@ -232,11 +232,11 @@
     // Where the viewer stands, in units of the sensor's size: for look() of another one.
     self.view = () => camera.position.clone().sub(middle).divideScalar(size).toArray();
     self.look = view => {
-      const told = self.onTurn;
+      const listener = self.onTurn;
       self.onTurn = null;
       camera.position.fromArray(view).multiplyScalar(size).add(middle);
       controls.update();
-      self.onTurn = told;
+      self.onTurn = listener;
       draw();
     };
 

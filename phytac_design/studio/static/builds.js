@@ -1,4 +1,4 @@
-// A build of the design as it stands: started, followed, stopped; its report shown.
+// A build of the current design: start, progress, stop, report.
 import { by, node, post, show } from "./api.js";
 
 export class Build {
@@ -59,7 +59,7 @@ export class Build {
     const took = `${show(state.seconds)} s`;
     const text = {
       done: `${state.name} is built (${state.accuracy}, ${took}), in ${state.out}.`,
-      stopped: `Stopped after ${took}; building again goes on where it was.`,
+      stopped: `Stopped after ${took}; the next build resumes there.`,
       failed: state.error || "The build failed.",
     }[state.state] || "";
     by("build-state").textContent = text;

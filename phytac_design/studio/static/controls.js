@@ -33,7 +33,7 @@ export class Controls {
     part.error = error;
     const send = value => {
       this.last = field.path;
-      this.tell(field.path, "");
+      this.showError(field.path, "");
       this.model.set(field.path, value);
     };
     if (field.kind === "choice") this.choice(part, id, words, send);
@@ -77,13 +77,13 @@ export class Controls {
     const span = value => {
       const [low, high, step] = limits(field, value);
       Object.assign(range, { min: low, max: high, step });
-      // Steps of the number's own size: the arrow keys move it as a person would.
+      // Steps of the number's own magnitude for the arrow keys.
       input.step = whole ? 1 : step;
     };
     input.addEventListener("input", () => {
       const value = input.valueAsNumber;
       if (!Number.isFinite(value)) {
-        this.tell(field.path, "give a number");
+        this.showError(field.path, "enter a number");
         return;
       }
       range.value = value;
@@ -123,7 +123,7 @@ export class Controls {
         send(JSON.parse(input.value));
       } catch {
         if (/^[\w-]+$/.test(input.value.trim())) send(input.value.trim());
-        else this.tell(part.field.path, "this is no list; write it as [1, 2] or [\"blue\", \"green\"]");
+        else this.showError(part.field.path, "not a list; write it as [1, 2] or [\"blue\", \"green\"]");
       }
     });
     listen();
@@ -143,7 +143,7 @@ export class Controls {
     };
   }
 
-  // Values of the model into the controls, but for the one that is being typed in.
+  // Show the values of the model in all controls but the focused one.
   refresh(everything) {
     const kind = this.model.value("shape.kind");
     if (kind !== this.family && this.form.shapes[kind]) {
@@ -167,7 +167,7 @@ export class Controls {
     }
   }
 
-  // What a word such as `fit` stands for at the moment.
+  // The current value of a word such as `fit`.
   stands(path, value) {
     const part = this.all.get(path);
     if (part && typeof this.model.value(path) !== "number") {
@@ -176,7 +176,7 @@ export class Controls {
     }
   }
 
-  tell(path, text) {
+  showError(path, text) {
     const part = this.all.get(path);
     if (!part) return false;
     if (part.error.textContent !== text) part.error.textContent = text;
@@ -188,11 +188,11 @@ export class Controls {
     return true;
   }
 
-  // Errors beside the controls that they speak of; whatever names none goes to the last one moved.
+  // Errors at the controls that they name; others at the control changed last.
   errors(fields, text) {
-    for (const path of this.all.keys()) this.tell(path, fields[path] || "");
+    for (const path of this.all.keys()) this.showError(path, fields[path] || "");
     const shown = Object.keys(fields).filter(path => this.all.has(path));
-    if (text && !shown.length && this.last) this.tell(this.last, text);
+    if (text && !shown.length && this.last) this.showError(this.last, text);
     for (const path of shown) {
       const fold = this.all.get(path).box.closest("details");
       if (fold && path === this.last) fold.open = true;
@@ -200,7 +200,7 @@ export class Controls {
   }
 }
 
-// Ends and step of a slider: the field's own where they are near, else around its value.
+// Range and step of a slider: the field's own where they are close, else around its value.
 function limits(field, value) {
   let { low, high } = field;
   const near = low !== null && high !== null && high - low <= RANGE_MAX;

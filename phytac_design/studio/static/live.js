@@ -1,4 +1,4 @@
-// Drafts while controls move, a check once they rest. Of several requests only the newest counts.
+// Drafts while controls move, a check when they stop. Only the newest request counts.
 import { post, Refused } from "./api.js";
 
 const QUICK_MS = 500, REST_MS = 400;
@@ -16,7 +16,7 @@ export class Live {
     });
   }
 
-  // drawing, drawn, checked or refused: for whoever waits for it.
+  // drawing, drawn, checked or refused, for tests that wait for it.
   state(now) { document.body.dataset.state = now; }
 
   change() {
@@ -27,7 +27,7 @@ export class Live {
     if (!this.under) this.send();
     else {
       this.waiting = true;
-      // Quick drafts are drawn on the way; slow ones would only keep the newest waiting.
+      // Fast drafts are drawn meanwhile; slow ones would delay the newest.
       if (this.mean > QUICK_MS) this.under.abort();
     }
   }
@@ -41,7 +41,7 @@ export class Live {
     const since = this.since, start = performance.now();
     this.since = undefined;
     this.waiting = false;
-    // After a step back even the control that is typed in shows what is.
+    // After undo the focused control shows its value too.
     const whole = this.whole;
     this.whole = false;
     this.under = new AbortController();
@@ -103,7 +103,7 @@ export class Live {
   }
 }
 
-// After the next frame has been handed to the screen.
+// After the next animation frame.
 const painted = () => new Promise(done => {
   const late = setTimeout(done, 1000);  // a hidden page has no frames
   requestAnimationFrame(() => setTimeout(() => { clearTimeout(late); done(); }, 0));

@@ -1,4 +1,4 @@
-// The studio: a design with controls; the library answers.
+// The studio: controls of a design; the server computes the views.
 import { by, get } from "./api.js";
 import { Build } from "./builds.js";
 import { Controls } from "./controls.js";

@@ -1,5 +1,4 @@
-// The design as it stands: its tables as in the file, what the library made of them, and what was
-// before, for undo.
+// The current design: its tables as in the file, the resolved values, and earlier states for undo.
 
 const TOGETHER_MS = 800;
 const PAST_MAX = 300;
@@ -18,7 +17,7 @@ export class Model extends EventTarget {
     this.last = { path: "", at: 0 };
   }
 
-  // A design that was opened; going back leads to the one before.
+  // Open a design; undo returns to the one before.
   open(opened, keep) {
     if (keep) this.remember("");
     this.now = {
@@ -30,7 +29,7 @@ export class Model extends EventTarget {
       this.future = [];
     }
     this.resolved = {};
-    this.tell("all");
+    this.notify("all");
   }
 
   remember(path) {
@@ -57,16 +56,16 @@ export class Model extends EventTarget {
     const data = this.now.data;
     if (key) data[table] = { ...data[table], [key]: value };
     else data[table] = value;
-    // A choice that sets other fields takes their own values' place.
+    // A choice that sets other fields replaces their own values.
     for (const name of this.sets[path] || []) delete data[table][name];
-    this.tell(path);
+    this.notify(path);
   }
 
-  // Another surface family: its table whole, from an example.
+  // Another surface family: its complete table, from an example.
   shape(table) {
     this.remember("");
     this.now.data.shape = copy(table);
-    this.tell("all");
+    this.notify("all");
   }
 
   step(from, to) {
@@ -75,7 +74,7 @@ export class Model extends EventTarget {
     to.push(copy(this.now));
     this.now = before;
     this.last = { path: "", at: 0 };
-    this.tell("all");
+    this.notify("all");
   }
 
   undo() { this.step(this.past, this.future); }
@@ -91,7 +90,7 @@ export class Model extends EventTarget {
 
   get dirty() { return JSON.stringify(this.now.data) !== this.saved; }
 
-  tell(path) {
+  notify(path) {
     this.dispatchEvent(new CustomEvent("change", { detail: path }));
     this.dispatchEvent(new CustomEvent("state"));
   }

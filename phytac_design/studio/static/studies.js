@@ -1,4 +1,4 @@
-// Studies of the folder: candidates, front, and any of them into the controls.
+// Studies of the folder: candidates and front; any of them can be loaded into the controls.
 import { by, get, node, post, show } from "./api.js";
 
 const ROWS = 200;

@@ -1,4 +1,4 @@
-// What the library says of the design: verdict, camera views, figures, shell and map.
+// Results for the design: verdict, camera views, figures, shell and map.
 import { by, node, prose, show } from "./api.js";
 
 const C = window.PhytacColours, NEAR = 0.012;
@@ -15,7 +15,7 @@ export class Views {
       by("camera-part").classList.toggle("still", !entry.isIntersecting)).observe(by("controls"));
   }
 
-  // A draft: everything but the check's part of the verdict.
+  // A draft: everything but the verdict of the check.
   async draw(draft) {
     const pictures = await Promise.all(draft.cameras.map(load));
     this.draft = draft;
@@ -59,8 +59,8 @@ export class Views {
       ...this.cameras.map(camera => node("figure", {}, camera.canvas, camera.caption)));
   }
 
-  // The marker under the pointer; `ids` holds numbers from 1, 0 for none. A receptor's hole is not
-  // painted: there the nearest end counts.
+  // The marker under the pointer; `ids` holds numbers from 1, 0 for none. In the unpainted hole of
+  // a receptor the nearest end counts.
   point(camera, event) {
     const box = camera.canvas.getBoundingClientRect();
     const x = Math.floor((event.clientX - box.left) / box.width * camera.width);
@@ -172,7 +172,7 @@ export class Views {
     const blind = found.visibility.switch_unreadable;
     if (blind) lines.unshift(["odd", `${blind} switches cannot be read`]);
     if (found.clear) {
-      this.verdict(lines.length ? "odd" : "good", "Every marker is seen and told apart.", lines,
+      this.verdict(lines.length ? "odd" : "good", "Every marker is visible and separate.", lines,
         "As `phytac check` finds.");
     } else {
       lines.unshift(["bad", found.advice]);
