@@ -1,4 +1,4 @@
-"""What frames might have told, made up."""
+"""Detections and measurements of frames, made up."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from phytac_shapes.arrays import FloatArray
 
 
 def found_of(*contacts: LocatedContact, shift_px: FloatArray) -> ContactDetection:
-    """What a frame told, made up."""
+    """Detection of a frame, made up."""
     return ContactDetection(contacts=list(contacts), reduced_chi2=1.0, shift_px=shift_px)
 
 

@@ -1,4 +1,4 @@
-"""The contract of a family: any design of it goes through every room, to forces decoded."""
+"""The contract of a family: any design of it passes every stage, to decoded forces."""
 
 import math
 from pathlib import Path
@@ -120,7 +120,7 @@ def through_every_room(design: Design, out: Path) -> None:
     measured = measure_frame(bundle, frame, rest_px=rest)
     on = pressed.switching.bits[0]
     assert on[marker]
-    # Switches whose red hardly tells on from off may be missed, but none is invented.
+    # Switches whose red hardly changes when they turn on may be missed, but none is invented.
     assert set(np.flatnonzero(on & bundle.tips.readable)) <= set(measured.koi)
     assert set(measured.koi) <= set(np.flatnonzero(on))
     assert measured.found.all()

@@ -162,7 +162,7 @@ def test_figures_are_those_of_the_forces(judged: Evaluation) -> None:
     assert "95 %" in fem["note"]
 
 
-def test_tenths_are_told(judged: Evaluation) -> None:
+def test_the_worst_tenth_is_reported(judged: Evaluation) -> None:
     decoded = judged.decoded
     low = judged.groups["along"][next(iter(judged.groups["along"]))]
     wrong = decoded.force_N * np.where(low, 1.5, 1.01)
@@ -272,7 +272,7 @@ def test_claims_are_matched_by_switch_and_by_place(judged: Evaluation) -> None:
     assert together.unmatched == len(first.contacts)
 
 
-def test_contacts_found_by_motion_alone_are_told_from_what_is_not_there(judged: Evaluation) -> None:
+def test_contacts_found_by_motion_alone_count_where_one_was_pressed(judged: Evaluation) -> None:
     """A contact whose switches are struck out of the truth counts as found where it was pressed."""
     samples, decoded = judged.data.samples, judged.decoded
     assert samples.touches is not None
@@ -314,16 +314,16 @@ def test_noise_is_that_of_markers_that_are_left_alone(judged: Evaluation) -> Non
     assert np.all(noise[0] < 0.11)
 
 
-def test_rows_tell_switches_and_intervals(judged: Evaluation) -> None:
+def test_rows_of_switches_and_intervals(judged: Evaluation) -> None:
     table = Table("x")
     read = judged.data.samples.bits_read
     assert read is not None
     add_switches(table, "here", judged)
-    told = judged.decoded
-    worse = replace(told, missed=told.on // 2, false=told.off // 50)
+    decoded = judged.decoded
+    worse = replace(decoded, missed=decoded.on // 2, false=decoded.off // 50)
     add_switches(table, "here", replace(judged, decoded=worse))
     assert [row["holds"] for row in table.rows] == [True, True, False, False]
-    assert table.rows[2]["value"] == pytest.approx(100.0 * (1.0 - worse.missed / told.on))
+    assert table.rows[2]["value"] == pytest.approx(100.0 * (1.0 - worse.missed / decoded.on))
     size = len(judged.claims.truth_N)
     wide = replace(judged.claims, sd_N=np.full(size, 1e3))
     add_claims(table, "here", wide, target=True)

@@ -1,4 +1,4 @@
-"""Rules on every shape: room by the place, edges by real distance, one marker, ten thousand."""
+"""Rules on every shape: spacing by the place, edges by real distance, one marker, ten thousand."""
 
 import re
 import time

@@ -127,7 +127,7 @@ def test_heights_stay_clear_under_load_for_both() -> None:
     settled = with_heights(design, surface, markers, height)
     after = clearance_under_load_mm(design, settled, cameras_mm, motions)
     far = nearest_camera(markers, cameras_mm) == 1
-    # A press in either half takes room away, and gets it back.
+    # A press in either half reduces the gap, and releasing it restores it.
     assert before[far].min() < 0.4
     assert before[~far].min() < 0.4
     assert after.min() >= 0.5 - 0.005

@@ -124,13 +124,14 @@ def test_the_stage_says_from_when_and_where(tmp_path: Path) -> None:
     gaps = {"gap_same_colour_px": gap, "gap_other_colour_px": gap}
     np.savez(views / "arrays.npz", camera=camera, allow_pickle=False, **gaps)
     run_underload(context_of(soft(), accuracy, folders={"views": views}), folder)
-    told = json.loads((folder / "facts.json").read_text())
+    facts = json.loads((folder / "facts.json").read_text())
     worst = int(found.first_force_N.argmin())
-    assert told["first_force_N"] == found.first_force_N[worst] < 25.0
-    assert told["first_place_uv"] == uv[worst].tolist()
-    assert told["crosstalk_px"] == found.crosstalk_px.max()
+    assert facts["first_force_N"] == found.first_force_N[worst] < 25.0
+    assert facts["first_place_uv"] == uv[worst].tolist()
+    assert facts["crosstalk_px"] == found.crosstalk_px.max()
     assert (
-        f"from {told['first_force_N']:.2g} N on, pressed {told['first_place']}" in told["sentence"]
+        f"from {facts['first_force_N']:.2g} N on, pressed {facts['first_place']}"
+        in facts["sentence"]
     )
     with np.load(folder / "arrays.npz") as arrays:
         assert np.array_equal(arrays["first_force_N"], found.first_force_N)
@@ -152,14 +153,14 @@ def test_two_cameras_judge_what_is_read_through_each(plain: Context) -> None:
     assert found["both"].press_gap_same_px.min() == found["both"].least_gap_same_px.min()
     # What each camera loses is said apart, of the markers that are read through it.
     assert "cameras" not in facts["near"]
-    for end, own, told in zip(
+    for end, own, each in zip(
         ("near", "far"), (far == 0, far == 1), facts["both"]["cameras"], strict=True
     ):
-        assert (told["end"], told["read"]) == (end, 20)
+        assert (each["end"], each["read"]) == (end, 20)
         alone = found[end]
-        assert told["least_gap_same_colour_px"] == alone.least_gap_same_px[own].min()
-        assert told["least_visible_fraction"] == alone.least_fraction[own].min()
-        assert told["crosstalk_px"] == alone.crosstalk_px[own].max()
+        assert each["least_gap_same_colour_px"] == alone.least_gap_same_px[own].min()
+        assert each["least_visible_fraction"] == alone.least_fraction[own].min()
+        assert each["crosstalk_px"] == alone.crosstalk_px[own].max()
 
 
 def test_a_camera_that_reads_nothing_loses_nothing(plain: Context) -> None:

@@ -289,7 +289,7 @@ def cases() -> Cases:  # noqa: C901, PLR0912, PLR0915 - a table
     for name, shell in CORNER_LOADED.items():
         out.add(f"rounding: {name}", check_rounding_error, "either", shell=shell)
     out.add("thin limit of the ring load", check_thin_limit)
-    out.add("a shell that rounding would spoil", check_rounding, "refused")
+    out.add("a shell dominated by rounding", check_rounding, "refused")
     return out
 
 

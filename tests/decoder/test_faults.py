@@ -1,4 +1,4 @@
-"""Frames with faults: degraded and told of; sound ones stay free of warnings."""
+"""Frames with faults give warnings; sound ones give none."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -53,7 +53,7 @@ def read(forces: dict[int, float], koi: tuple[int, ...], *, seed: int = 0) -> Fr
     return FrameMeasurement(koi=np.array(koi, dtype=np.int64), shift_px=shift, found=~OFF)
 
 
-def told(measured: FrameMeasurement) -> list[str]:
+def warnings_of(measured: FrameMeasurement) -> list[str]:
     forces = measured.forces_N(BUNDLE, "koi_inverse")
     return measured.warnings(BUNDLE, forces, estimator="koi_inverse")
 
@@ -73,7 +73,7 @@ PRESSES = {
 def test_sound_frames_are_free_of_warnings(press: str) -> None:
     forces, koi = PRESSES[press]
     for seed in range(20):
-        assert told(read(forces, koi, seed=seed)) == []
+        assert warnings_of(read(forces, koi, seed=seed)) == []
 
 
 def test_softening_is_not_taken_for_a_fault() -> None:
@@ -82,33 +82,33 @@ def test_softening_is_not_taken_for_a_fault() -> None:
         soft = motion({marker: 25.0})
         soft *= 1.0 + 0.33 * np.linalg.norm(soft, axis=1, keepdims=True) / (PX_N * 27.0)
         measured = replace(read({}, (marker,)), shift_px=soft)
-        assert told(measured) == []
+        assert warnings_of(measured) == []
 
 
 def test_a_dead_switch_is_told_of() -> None:
-    (text,) = told(read({30: 6.0, 84: 20.0}, (84,)))
+    (text,) = warnings_of(read({30: 6.0, 84: 20.0}, (84,)))
     assert PRESSED_TEXT in text
     assert "30" in text
-    (alone,) = told(read({58: 4.0}, ()))
+    (alone,) = warnings_of(read({58: 4.0}, ()))
     assert PRESSED_TEXT in alone
     assert "58" in alone
     # Beside one that is on, too, if it carries most of the force.
-    (beside,) = told(read({58: 5.0, 59: 15.0}, (58,)))
+    (beside,) = warnings_of(read({58: 5.0, 59: 15.0}, (58,)))
     assert PRESSED_TEXT in beside
     assert "(59)" in beside
 
 
 def test_a_light_press_between_switches_is_no_alarm() -> None:
-    assert told(read({30: 1.0, 84: 20.0}, (84,))) == []
+    assert warnings_of(read({30: 1.0, 84: 20.0}, (84,))) == []
 
 
 def test_a_stuck_switch_is_told_of() -> None:
-    (text,) = told(read({84: 20.0}, (30, 84)))
+    (text,) = warnings_of(read({84: 20.0}, (30, 84)))
     assert "1 switched receptors (30) show no force" in text
-    (alone,) = told(read({}, (30,)))
+    (alone,) = warnings_of(read({}, (30,)))
     assert "(30) show no force" in alone
     # Red in the middle of a real contact does no harm: its force is the contact's.
-    assert told(read({58: 12.0}, (58, 59))) == []
+    assert warnings_of(read({58: 12.0}, (58, 59))) == []
 
 
 def test_a_stuck_switch_does_not_live_on_others_force() -> None:
@@ -178,36 +178,36 @@ def test_a_blind_switch_beside_a_strong_press_may_be_off_by_a_share() -> None:
         assert (59 in pressed.tolist()) is told_of
 
 
-def test_forces_of_any_estimator_are_doubted() -> None:
+def test_faults_are_detected_for_any_estimator() -> None:
     measured = read({84: 4.0}, (84,))
     found = FaultDetector(BUNDLE, measured.shift_px, measured.koi)
     assert found.switches_without_force(measured.forces_N(BUNDLE, "koi_inverse")).tolist() == []
     assert found.switches_without_force(np.zeros(COUNT)).tolist() == [84]
 
 
-def test_a_marker_astray_is_told_of() -> None:
+def test_an_outlier_marker_is_reported() -> None:
     measured = read({84: 10.0}, (84,))
     shift = measured.shift_px.copy()
     shift[20] += (-1.5, 0.0)
-    (text,) = told(replace(measured, shift_px=shift))
+    (text,) = warnings_of(replace(measured, shift_px=shift))
     assert "1 markers (20) are where no force" in text
     # Missing ones are no reason, wherever they are.
     shift[[20, 84, 85]] = np.nan
-    assert told(replace(measured, shift_px=shift)) == []
+    assert warnings_of(replace(measured, shift_px=shift)) == []
 
 
 def test_a_camera_that_has_moved_is_the_only_reason() -> None:
     measured = read({84: 10.0}, (84,))
-    (text,) = told(replace(measured, shift_px=measured.shift_px + np.array([2.0, 0.0])))
+    (text,) = warnings_of(replace(measured, shift_px=measured.shift_px + np.array([2.0, 0.0])))
     assert "the camera has moved" in text
 
 
-def test_unreadable_switches_are_doubted_as_well_beside_others() -> None:
+def test_faults_at_unreadable_switches_are_detected_beside_others() -> None:
     red = BUNDLE.tips.red_rest_px.copy()
     red[59] = BUNDLE.tips.red_on_px[59]
     bundle = replace(BUNDLE, tips=replace(BUNDLE.tips, red_rest_px=red))
     measured = read({58: 10.0, 59: 6.0}, (58,))
-    assert told(measured) == []
+    assert warnings_of(measured) == []
     forces = measured.forces_N(bundle, "koi_inverse")
     (text,) = measured.warnings(bundle, forces, estimator="koi_inverse")
     assert "(59) moved as if pressed" in text
@@ -247,8 +247,8 @@ FAULTS: dict[str, tuple[Callable[[], ImageArray], str]] = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_in_frames_are_told_of(fault: str) -> None:
     make, words = FAULTS[fault]
-    assert told(measure_frame(BUNDLE, shot())) == []
-    assert words in " ".join(told(measure_frame(BUNDLE, make())))
+    assert warnings_of(measure_frame(BUNDLE, shot())) == []
+    assert words in " ".join(warnings_of(measure_frame(BUNDLE, make())))
 
 
 def test_markers_run_into_one_do_not_pull_forces() -> None:
@@ -306,11 +306,11 @@ def test_tips_of_hidden_markers_are_looked_for_where_their_neighbours_went() -> 
     assert seen.koi.tolist() == [45, 70]
 
 
-def test_markers_that_are_not_seen_are_no_reason_for_doubt() -> None:
+def test_markers_that_are_not_seen_give_no_warning() -> None:
     measured = read({58: 20.0}, (58,))
     shift = measured.shift_px.copy()
     shift[[44, 45, 46, 57, 59, 70, 71, 72]] = np.nan
-    assert told(replace(measured, shift_px=shift)) == []
+    assert warnings_of(replace(measured, shift_px=shift)) == []
     as_if_still = FaultDetector(BUNDLE, np.nan_to_num(shift), measured.koi)
     assert any(len(markers) for markers in as_if_still.unexplained())
 

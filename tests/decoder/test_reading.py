@@ -138,7 +138,7 @@ def test_a_frame_is_fitted_once(
     pressed: tuple[Bundle, FrameMeasurement], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bundle, measured = pressed
-    # A switch that is not read: doubts look at what contacts explain.
+    # A switch that is not read: fault detection uses what contacts explain.
     measured = replace(measured, koi=measured.koi[1:])
     whole, calls = ForceModel.contacts, []
 

@@ -184,7 +184,7 @@ def test_older_bundles_have_none_and_newer_ones_are_rejected(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("corrupt", "message"),
     [
         (lambda found: found[0].update(markers=[30]), r"a list of markers, 0 to 29 \(got \[30\]"),
         (lambda found: found[0].update(markers=[]), "a list of markers"),
@@ -195,12 +195,12 @@ def test_older_bundles_have_none_and_newer_ones_are_rejected(tmp_path: Path) -> 
     ],
 )
 def test_malformed_regions_of_a_bundle_are_rejected(
-    tmp_path: Path, spoil: Callable[[list[Any]], None], message: str
+    tmp_path: Path, corrupt: Callable[[list[Any]], None], message: str
 ) -> None:
     save_bundle(replace(toy_bundle(), regions=NAMED), tmp_path)
     path = tmp_path / "bundle.json"
     meta = json.loads(path.read_text())
-    spoil(meta["regions"])
+    corrupt(meta["regions"])
     path.write_text(json.dumps(meta))
     with pytest.raises(InputError, match=f"is not a decoder bundle: .*{message}"):
         load_bundle(tmp_path)

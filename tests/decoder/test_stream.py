@@ -18,8 +18,8 @@ from phytac_decoder.serving.sensor_loop import Progress, Stream, follow_decoder,
 from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
-from tests.decoder.test_eyes import lattice
-from tests.decoder.test_two_eyes import pair
+from tests.decoder.test_marker_detection import lattice
+from tests.decoder.test_two_views import pair
 from tests.decoder.toy_sensor import toy_bundle, toy_frame, toy_recording
 
 

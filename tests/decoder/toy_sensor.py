@@ -11,8 +11,8 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.io.bundle import Bundle, save_bundle
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import FloatArray, ImageArray
-from tests.decoder.test_eyes import GREY, MODEL, PAINTS, lattice
 from tests.decoder.test_forces import make_bundle
+from tests.decoder.test_marker_detection import GREY, MODEL, PAINTS, lattice
 
 SCALE = 8
 TIP = np.array([9.0, 0.0])

@@ -109,8 +109,8 @@ def test_defaults_never_stop_a_build(tmp_path: Path) -> None:
 
 def test_without_switches_there_is_no_hardware(tmp_path: Path) -> None:
     made = context(changed("hemisphere"), tmp_path)
-    told = {"refused": "no bowl fits", "switches": [], "parts": []}
-    (made.folders["switch"] / "facts.json").write_text(json.dumps(told))
+    facts = {"refused": "no bowl fits", "switches": [], "parts": []}
+    (made.folders["switch"] / "facts.json").write_text(json.dumps(facts))
     out = tmp_path / "out"
     out.mkdir()
     HARDWARE.run(made, out)

@@ -138,8 +138,8 @@ def test_faces_fit_every_region_they_serve(name: str) -> None:
         found = heights_mm(surface, markers.uv[np.append(own, face.marker)], places)
         apart = found[:-1] - found[-1]
         assert np.ptp(apart, axis=1).max() / 2.0 <= FIT_mm + 0.005
-        room = clear_mm(design, surface, markers.uv[own])
-        assert np.all(face.radius_mm + design.kit.clearance_mm <= room)
+        clear = clear_mm(design, surface, markers.uv[own])
+        assert np.all(face.radius_mm + design.kit.clearance_mm <= clear)
 
 
 def test_rims_leave_room_only_for_narrow_indenters() -> None:

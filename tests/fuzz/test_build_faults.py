@@ -141,9 +141,9 @@ def test_a_build_that_is_ended_goes_on(tmp_path: Path) -> None:
     code = (
         "import sys, time\nfrom pathlib import Path\nfrom phytac_design.stages.build import build\n"
         "from phytac_design.design.design_file import load_design\n"
-        "def told(text):\n    print(text, flush=True)\n    time.sleep(60 * ('mesh …' in text))\n"
+        "def report(text):\n    print(text, flush=True)\n    time.sleep(60 * ('mesh …' in text))\n"
         f"build(load_design({str(design)!r}), Path({str(out)!r}), accuracy='draft', "
-        "only=['mesh'], progress=told)"
+        "only=['mesh'], progress=report)"
     )
     environment = {**os.environ, "PHYTAC_CACHE": str(own)}
     process = subprocess.Popen(
@@ -189,7 +189,7 @@ def test_two_builds_at_once_into_one_folder(
     def work(modulus_MPa: float) -> None:
         try:
             make(tmp_path / "x", material={"modulus_MPa": modulus_MPa})
-        except BaseException as error:  # noqa: BLE001 - told by the other thread
+        except BaseException as error:  # noqa: BLE001 - reported by the other thread
             errors.append(error)
 
     threads = [threading.Thread(target=work, args=(modulus,)) for modulus in (1900.0, 2050.0)]

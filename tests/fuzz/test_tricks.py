@@ -69,7 +69,7 @@ def loop(folder: Path) -> Path:
 def huge(folder: Path) -> Path:
     path = folder / "huge"
     with path.open("wb") as file:
-        # A hole: it takes no room on the disk.
+        # A sparse file: it occupies no disk space.
         file.truncate(1 << 40)
     return path
 

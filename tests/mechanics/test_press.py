@@ -116,7 +116,7 @@ def test_large_tips_keep_their_distance_from_the_wall() -> None:
 
 
 def test_receptors_stiffen_the_wall() -> None:
-    # Fine enough to tell tubes from the wall between them.
+    # Fine enough to resolve the wall between tubes.
     plain = pressed(1.0, "linear", receptors=False, refine=6)
     assert 0.9 < pressed(1.0, "linear", refine=6).peak_mm / plain.peak_mm < 0.98
     odd = small(receptor={"diameter_outer_mm": 0.9, "diameter_hole_mm": 0.5})

@@ -186,8 +186,8 @@ def test_the_decoder_takes_them_as_its_preset_says(tmp_path: Path) -> None:
     assert 0.9 < size["with"] / size["without"] < 0.995
     (line,) = lines
     assert "the wall is taken as plain: receptor stiffness: tube diameter" in line
-    knobs = "receptors" in RESPONSE.settings, "receptors" in TWIN.settings
-    assert knobs == (True, False)  # the simulated truth has them whatever the preset
+    used = "receptors" in RESPONSE.settings, "receptors" in TWIN.settings
+    assert used == (True, False)  # the simulated truth has them whatever the preset
 
 
 def test_cell_without_receptor_is_the_plain_wall() -> None:

@@ -124,7 +124,7 @@ def test_a_load_that_is_not_finite_is_refused() -> None:
         model().solve(load)
 
 
-def test_a_result_spoilt_by_rounding_is_refused() -> None:
+def test_a_result_dominated_by_rounding_is_refused() -> None:
     # A strip one element wide and 1e-7 of its length thick.
     strip = cases.patch(lambda a, b: np.column_stack([100.0 * a, b, 0 * a]), 40, 1)
     fixed = cases.no_support(strip)

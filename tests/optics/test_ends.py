@@ -201,7 +201,7 @@ def test_two_cameras_give_two_sets_of_pictures_and_a_better_bound() -> None:
     assert (one["cameras"], two["cameras"]) == (1, 2)
     for key in ("force_N_worst", "along_mm_median", "force_known_place_N_median"):
         assert two["bound"]["10 N"][key] < 0.9 * one["bound"]["10 N"][key]
-        # Through one camera each, markers tell less than through both.
+        # Markers seen by one camera each give less information than by both.
         assert two["bound"]["10 N"][key] < two["bound_as_read"]["10 N"][key]
     assert "bound_as_read" not in one
     # The same camera at half of the markers: with the place known, better than it alone.

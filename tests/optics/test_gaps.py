@@ -50,7 +50,7 @@ def test_gaps_of_no_visible_marker_are_inf() -> None:
 def test_gaps_with_one_colour_and_hidden_markers(
     rng: np.random.Generator, *, scattered: bool
 ) -> None:
-    """Blots of any form, some missing; and scattered pixels, where boxes tell nothing."""
+    """Blots of any form, some missing; and scattered pixels, where bounding boxes give no bound."""
     owner = np.full((80, 90), -1, dtype=np.int32)
     for marker in range(30):
         if marker % 7:

@@ -1,4 +1,4 @@
-"""What a camera that looks along the wall's normal cannot tell, and that the decoder says so."""
+"""Motions that a camera along the wall's normal cannot observe, and their warning."""
 
 import json
 from dataclasses import replace
@@ -173,7 +173,7 @@ def test_limits_survive_the_bundle_and_old_bundles_have_defaults(tmp_path: Path)
     assert load_bundle(tmp_path).force_max_N == 25.0
 
 
-def test_a_doubtful_switch_is_on_only_where_markers_moved() -> None:
+def test_an_uncertain_switch_is_on_only_where_markers_moved() -> None:
     bundle = blind(blind(sound(), 5), 9)
     assert np.flatnonzero(~bundle.tips.readable).tolist() == [5, 9]
     seems_on = np.isin(np.arange(N), [2, 5, 9])

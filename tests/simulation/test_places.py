@@ -86,7 +86,7 @@ def true_shifts(uv: FloatArray, radius_mm: float, force_N: float) -> FloatArray:
     return np.asarray(moved - READERS.project(watched)).ravel()
 
 
-def told(places: ResponseTable, place: int, force_N: float) -> FloatArray:
+def predicted(places: ResponseTable, place: int, force_N: float) -> FloatArray:
     powers = force_N ** np.arange(1.0, places.orders + 1.0)
     return np.asarray(powers @ places.shift_px[place])
 
@@ -102,7 +102,7 @@ def test_powers_of_the_force_are_those_of_large_displacements(share: float) -> N
     place = int(places.nearest(middle)[0])
     force = share * DESIGN.training.force_max_N
     wanted = truth(place, places, force)
-    large = off(told(places, place, force), wanted)
+    large = off(predicted(places, place, force), wanted)
     linear = off(force * places.shift_px[place, 0], wanted)
     assert large < 0.08
     assert linear > 1.5 * large
@@ -174,7 +174,7 @@ def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
     for place in np.arange(0, len(ring.uv), len(ring.uv) // 12).tolist():
         (motions,) = shell.motions(ring.uv[[place]], done.places.radius_mm)
         rows = ImageResponse(READERS, MARKERS.mid_mm, ARM).powers(motions, shell.forces)
-        gaps.append(off(told(done.places, place, force), force ** np.arange(1.0, 4.0) @ rows))
+        gaps.append(off(predicted(done.places, place, force), force ** np.arange(1.0, 4.0) @ rows))
     assert max(gaps) < 0.05
     assert float(np.median(gaps)) < 0.01
 
@@ -190,10 +190,10 @@ def test_interactions_add_what_two_contacts_do_beyond_their_sum(far_mm: float, w
     force, radius = 2.0, places.radius_mm
     alone = [true_shifts(uv[[k]], radius, force) for k in (0, 1)]
     wanted = (true_shifts(uv, radius, force) - alone[0] - alone[1]) / force**2
-    (told,) = places.pairs.between(SURFACE.point(uv))
+    (predicted,) = places.pairs.between(SURFACE.point(uv))
     # Places are 12 mm apart, and the simulated sensor's mesh is twice as fine.
-    assert off(told, wanted) < 0.4
-    assert told @ wanted > 0.97 * np.linalg.norm(told) * np.linalg.norm(wanted)
+    assert off(predicted, wanted) < 0.4
+    assert predicted @ wanted > 0.97 * np.linalg.norm(predicted) * np.linalg.norm(wanted)
 
 
 def test_coordinates_of_pairs_are_those_of_their_own_images(
@@ -236,10 +236,10 @@ def test_images_bend_as_the_lens_and_the_arms_do() -> None:
     rng = np.random.default_rng(4)
     one, two = 1e-2 * rng.normal(size=(2, MARKERS.count, 6))
     bend = image_curvature(SEE, MARKERS.count)
-    told = np.einsum("nj,nijk,nk->ni", one, bend, two)
+    predicted = np.einsum("nj,nijk,nk->ni", one, bend, two)
     ends = [SEE.shift(a * one + b * two) for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]
-    np.testing.assert_allclose(told, (ends[0] + ends[1] - ends[2] - ends[3]) / 4.0, atol=2e-4)
-    assert np.abs(told).max() > 0.01
+    np.testing.assert_allclose(predicted, (ends[0] + ends[1] - ends[2] - ends[3]) / 4.0, atol=2e-4)
+    assert np.abs(predicted).max() > 0.01
 
 
 def test_linear_theory_alone_is_the_first_power() -> None:

@@ -38,7 +38,7 @@ def pressed(orders: int) -> DiscResponse:
     return DiscResponse(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=orders)
 
 
-def told(orders: int, force_N: float) -> FloatArray:
+def predicted(orders: int, force_N: float) -> FloatArray:
     (motions,) = pressed(orders).motions(MIDDLE, RADIUS_mm)
     rows = SEE.powers(motions, pressed(orders).forces)
     return np.asarray(force_N ** np.arange(1.0, len(rows) + 1.0) @ rows)
@@ -75,7 +75,7 @@ def newton(force_N: float) -> FloatArray:
 def off(orders: int, share: float) -> float:
     force = share * DESIGN.training.force_max_N
     wanted = newton(force)
-    return float(np.linalg.norm(told(orders, force) - wanted) / np.linalg.norm(wanted))
+    return float(np.linalg.norm(predicted(orders, force) - wanted) / np.linalg.norm(wanted))
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 1.0])

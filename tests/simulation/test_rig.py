@@ -279,7 +279,7 @@ def test_a_log_that_contradicts_its_pictures_is_flagged(bring: Import) -> None:
     assert samples.truth.force_N[-1] == 0.0
 
 
-def test_forces_far_too_small_raise_a_doubt(bring: Import) -> None:
+def test_forces_far_too_small_are_noted(bring: Import) -> None:
     said: list[str] = []
     rows = [",".join([*(c := r.split(","))[:6], f"{float(c[6]) / 50:g}", c[7]]) for r in ROWS]
     done = bring(log_of(rows), said=said)

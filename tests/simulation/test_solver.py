@@ -115,10 +115,10 @@ def test_a_print_has_its_own_wall_material_and_receptors() -> None:
     holes = Holes.of(SURFACE, moved.markers.uv, receptor.diameter_hole_mm / 2.0)
     load = indentation_loads(there.mesh, SURFACE, touches, holes=holes) @ touches.force_N
     field = there.model.solve(load).motion.ravel()
-    feet = ReceptorKinematics(
+    receptors = ReceptorKinematics(
         there.mesh, SURFACE, moved.markers.uv, receptor.diameter_outer_mm / 2.0
     )
-    at = feet.linear(field)
+    at = receptors.linear(field)
     np.testing.assert_allclose(got(there.solve(touches, touches.force_N)), at, atol=1e-12)
 
 

@@ -105,7 +105,9 @@ def test_at_the_half_stretch_a_wall_is_half_as_soft() -> None:
     assert softness[2] / softness[0] == pytest.approx(1.0 / 4.0, abs=0.06)
 
 
-def seen_and_told(one: Bench, forces: list[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def seen_and_predicted(
+    one: Bench, forces: list[float]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Shifts (2n,) of discs at once: by large displacements, by the tables, and were each alone."""
     uv = one.pressed.surface.domain.mean(axis=1) + np.array(
         [[-9.0, -5.0], [8.0, -4.0], [1.0, 8.0]][: len(forces)]
@@ -116,14 +118,14 @@ def seen_and_told(one: Bench, forces: list[float]) -> tuple[FloatArray, FloatArr
     assert large is not None
     seen = one.see.shift(one.pressed.kinematics.large(large)).ravel()
     points = one.pressed.surface.point(uv)
-    told = []
+    predicted = []
     for places in (one.places, replace(one.places, walls=None, shift_px=powers(one.places))):
         states = [
             initial_state(places, ContactPrior(place_mm=1.0), p, f)
             for p, f in zip(points, forces, strict=True)
         ]
-        told.append(np.sum([shifts for shifts, _ in predicted_shifts(places, states)], axis=0))
-    return seen, told[0], told[1]
+        predicted.append(np.sum([shifts for shifts, _ in predicted_shifts(places, states)], axis=0))
+    return seen, predicted[0], predicted[1]
 
 
 def powers(places: ResponseTable) -> Any:
@@ -131,16 +133,16 @@ def powers(places: ResponseTable) -> Any:
 
 
 def test_discs_at_once_move_the_markers_as_large_displacements_have_it() -> None:
-    seen, told, alone = seen_and_told(bench(), [15.0, 20.0, 12.0])
+    seen, predicted, alone = seen_and_predicted(bench(), [15.0, 20.0, 12.0])
     size = np.linalg.norm(seen)
     assert np.linalg.norm(alone - seen) > 0.3 * size
-    assert np.linalg.norm(told - seen) < 0.06 * size
+    assert np.linalg.norm(predicted - seen) < 0.06 * size
 
 
 def test_one_disc_answers_as_before() -> None:
-    seen, told, alone = seen_and_told(bench(), [20.0])
-    np.testing.assert_array_equal(told, alone)
-    assert np.linalg.norm(told - seen) < 0.03 * np.linalg.norm(seen)
+    seen, predicted, alone = seen_and_predicted(bench(), [20.0])
+    np.testing.assert_array_equal(predicted, alone)
+    assert np.linalg.norm(predicted - seen) < 0.03 * np.linalg.norm(seen)
 
 
 def test_edges_that_hold_still_give_all_the_tension_and_those_of_a_box_little() -> None:

@@ -18,8 +18,8 @@ from phytac_decoder.vision.segmentation import segment
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
-from tests.decoder.test_eyes import MODEL, discs, lattice
 from tests.decoder.test_forces import N, make_bundle
+from tests.decoder.test_marker_detection import MODEL, discs, lattice
 
 FAR = np.arange(N) >= 7
 
@@ -108,7 +108,7 @@ def as_small(arrays: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("corrupt", "words"),
     [
         (without("shown_tip_on_px"), "lacks 'shown_tip_on_px'"),
         (with_nan, "marker 11 is read by a camera that does not show it"),
@@ -118,11 +118,11 @@ def as_small(arrays: dict[str, Any]) -> None:
     ],
 )
 def test_malformed_bundles_are_rejected(
-    tmp_path: Path, spoil: Callable[[dict[str, Any]], None], words: str
+    tmp_path: Path, corrupt: Callable[[dict[str, Any]], None], words: str
 ) -> None:
     save_bundle(two_cameras(), tmp_path)
     arrays = load_file(tmp_path / "bundle.safetensors")
-    spoil(arrays)
+    corrupt(arrays)
     save_file(arrays, tmp_path / "bundle.safetensors")
     with pytest.raises(InputError, match=words):
         load_bundle(tmp_path)

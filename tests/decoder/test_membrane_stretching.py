@@ -132,7 +132,7 @@ def test_each_wall_of_a_box_stretches_alone() -> None:
     for found, wanted in zip(parts, (one, alone, two), strict=True):
         np.testing.assert_array_equal(found[0], wanted[0])
         np.testing.assert_array_equal(found[1], wanted[1])
-    # Beside its edge only the wall's own places tell what it slopes by.
+    # Near its edge only the wall's own places give its slopes.
     assert both.walls is not None
     near = np.append(np.arange(19), len(point))
     weights = np.ones((10, 20), dtype=np.float32)
@@ -174,7 +174,7 @@ def test_a_stiffer_sensor_stretches_under_more() -> None:
 
 
 def unlost(v: float, slopes: FloatArray) -> float:
-    """What is left of the equation of v."""
+    """Residual of the equation of v."""
     return v - (1.0 - v) * float(np.sum((v ** np.arange(len(slopes)) @ slopes) ** 2))
 
 

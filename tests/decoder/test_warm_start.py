@@ -106,7 +106,7 @@ def test_what_they_no_longer_explain_is_searched_again() -> None:
 
 
 def test_a_faint_contact_is_seen_within_a_few_frames() -> None:
-    """It hardly changes what is left over in all."""
+    """It hardly changes the total residual."""
     third = np.array([45.0, 12.0, 0.0])
 
     def shifts(k: int) -> FloatArray:
