@@ -7,7 +7,7 @@ import pytest
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import LENSES, Lens
-from phytac_design.layout.cameras import LEAST_SHARE, fit_stand_off_mm
+from phytac_design.layout.cameras import fit_stand_off_mm
 from phytac_shapes.arrays import FloatArray
 
 RADIUS_MM, FILL, HALF_PX = 29.2, 0.975, 324.0
@@ -49,5 +49,5 @@ def test_a_lens_that_looks_back_stands_a_little_before_the_rim(name: str, field_
     """No rim before it fills its image."""
     lens = lens_with(name, float(np.radians(field_deg / 2.0)))
     stand_off = fit_stand_off_mm(lens, RIM, end=0, start_mm=0.0, fill=FILL)
-    assert stand_off == pytest.approx(LEAST_SHARE * RADIUS_MM)
+    assert stand_off == pytest.approx(0.05 * RADIUS_MM)
     assert reach_of(lens, 1e-3 * RADIUS_MM).max() < FILL * HALF_PX
