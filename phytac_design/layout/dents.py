@@ -14,12 +14,14 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
 
-def dent_motions(design: Design, surface: Surface, markers: Markers) -> FloatArray | None:
+def dent_motions(
+    design: Design, surface: Surface, markers: Markers, *, dents: int = 40
+) -> FloatArray | None:
     """Translation (mm) and rotation (rad) under each marker (p, n, 6); None without a dent.
 
-    Where rows are rings of equal markers dents in one sector represent all.
+    At most ``dents`` are spread over the surface. Where rows are rings of equal markers dents in
+    one sector represent all.
     """
-    dents = 40  # dents at most, spread over the surface
     layout = design.layout
     if layout.sight_dent_mm <= 0.0:
         return None

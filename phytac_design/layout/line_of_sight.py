@@ -29,7 +29,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.markers import Markers
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 
@@ -45,7 +45,6 @@ class LineOfSightSettings:
     bisections: int = 8
     """Halvings of the step below the first height that is clear."""
     depth_min_mm: float = 1e-3
-    stationary_share: float = 0.02
     load_tolerance_mm: float = 0.005
     load_iterations: int = 12
 
@@ -308,38 +307,13 @@ def clearance_under_load_mm(
 ) -> FloatArray:
     """Least :func:`clearance_mm` (n,) at rest and under each of the motions (p, n, 6).
 
-    Receptors that move by less than ``stationary_share`` of the maximum count as stationary.
+    Each marker is judged by the camera that is nearest to it at rest.
     """
-    cameras = np.atleast_2d(camera_mm)
-    nearest = nearest_camera(markers, cameras)
-    least = np.full(markers.count, np.inf)
-    for number, camera in enumerate(cameras):
-        own = nearest == number
-        least[own] = _under_load(design, markers, camera, motions, own)[own]
-    return least
-
-
-def _under_load(
-    design: Design, markers: Markers, camera_mm: FloatArray, motions: FloatArray, own: BoolArray
-) -> FloatArray:
-    """Smallest clearance (n,) of the ``own`` markers (n,) of one camera."""
-    least = clearance_mm(design, markers, camera_mm, chosen=own)
-    rest = _Outlines(design, markers, camera_mm)
-    every = np.arange(markers.count)
-    boxes = _box(rest.tubes(every, markers.height_mm))
+    nearest = nearest_camera(markers, np.atleast_2d(camera_mm))
+    least = clearance_mm(design, markers, camera_mm, nearest=nearest)
     for motion in motions:
-        size = np.linalg.norm(motion[:, :3], axis=1)
-        moves = size > SETTINGS.stationary_share * size.max()
-        now = pressed_markers(markers, np.where(moves[:, None], motion, 0.0))
-        after = _box(_Outlines(design, now, camera_mm).tubes(every, markers.height_mm))
-        reach = np.maximum(boxes, after)
-        # Only receptors that move, or overlap a moving one in the picture.
-        span = reach[moves].max(axis=0, initial=-np.inf)
-        near = -np.roll(reach, 2, axis=1) - span
-        touched = (near < 2.0 * rest.radius / rest.depth(every)[:, None]).all(axis=1)
-        chosen = own & (moves | touched)
-        seen = clearance_mm(design, now, camera_mm, chosen=chosen)
-        least[chosen] = np.minimum(least, seen)[chosen]
+        now = pressed_markers(markers, motion)
+        least = np.minimum(least, clearance_mm(design, now, camera_mm, nearest=nearest))
     return least
 
 
@@ -364,24 +338,23 @@ def clearance_mm(
     markers: Markers,
     camera_mm: FloatArray,
     *,
-    chosen: BoolArray | None = None,
+    nearest: IntArray | None = None,
 ) -> FloatArray:
     """Gap (n,) that the camera sees between each painted part and the nearer receptors, mm.
 
-    Negative where it is hidden in part; inf where nothing nearer comes within a diameter, and for
-    those that are not ``chosen`` (n,). Of several cameras (c, 3) each marker's nearest counts.
+    Negative where it is hidden in part; inf where nothing nearer comes within a diameter. Of
+    several cameras (c, 3) each marker's ``nearest`` (n,) counts.
     """
-    wanted = np.ones(markers.count, dtype=bool) if chosen is None else chosen
     cameras, groups = np.atleast_2d(camera_mm), _groups(markers)
-    away, nearest = _away(markers, groups, cameras), nearest_camera(markers, cameras)
+    away = _away(markers, groups, cameras)
+    seen_by = nearest_camera(markers, cameras) if nearest is None else nearest
     out = np.full(markers.count, np.inf)
     for number, camera in enumerate(cameras):
         outlines = _Outlines(design, markers, camera)
-        own = wanted & (nearest == number)
         tubes = np.zeros((0, SETTINGS.directions))
         for place in np.argsort(away[number], kind="stable"):
             group = groups[place]
-            some = group[own[group]]
+            some = group[seen_by[group] == number]
             out[some] = _slack(outlines, some, markers.height_mm[some, None], tubes)[:, 0]
             tubes = np.concatenate([tubes, outlines.tubes(group, markers.height_mm[group])])
     return out
