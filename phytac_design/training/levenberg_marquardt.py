@@ -11,6 +11,7 @@ from phytac_decoder.estimation.cascade_network import (
     SHAPES,
     Activation,
     CascadeNetwork,
+    forward,
     layers_of,
 )
 from phytac_design.datasets.key_node_data import KeyNodeData
@@ -126,27 +127,21 @@ class CascadeDerivatives:
     """The network of ``cascade_network`` at one vector of parameters, with its derivatives."""
 
     def __init__(self, flat: FloatArray, x: FloatArray, *, rectified: bool) -> None:
-        self.w, self.x, self.rectified = layers_of(flat), x, rectified
-        self.first = self._activate(x @ self.w["w1"].T + self.w["b1"])
-        self.both = np.concatenate([x, self.first], axis=1)
-        self.second = self._activate(self.both @ self.w["w2"].T + self.w["b2"])
-        self.every = np.concatenate([self.both, self.second], axis=1)
-        self.value = self.every @ self.w["w3"][0] + self.w["b3"][0]
-
-    def _activate(self, values: FloatArray) -> FloatArray:
-        return np.maximum(values, 0.0) if self.rectified else values
+        self.w, self.rectified = layers_of(flat), rectified
+        self.every, self.value = forward(self.w, x, rectified=rectified)
 
     def jacobian(self) -> FloatArray:
         """Return derivatives (m, 351) of the values by the parameters."""
-        m, out = len(self.x), self.w["w3"][0]
-        second = np.broadcast_to(out[INPUTS + HIDDEN :], (m, HIDDEN))
-        second = np.where(self.second > 0.0, second, 0.0) if self.rectified else second
-        first = out[INPUTS : INPUTS + HIDDEN] + second @ self.w["w2"][:, INPUTS:]
-        first = np.where(self.first > 0.0, first, 0.0) if self.rectified else first
+        both = INPUTS + HIDDEN
+        m, out = len(self.every), self.w["w3"][0]
+        on = self.every > 0.0 if self.rectified else np.ones_like(self.every, dtype=np.bool_)
+        second = np.where(on[:, both:], out[both:], 0.0)
+        first = out[INPUTS:both] + second @ self.w["w2"][:, INPUTS:]
+        first = np.where(on[:, INPUTS:both], first, 0.0)
         slopes = {
-            "w1": first[:, :, None] * self.x[:, None, :],
+            "w1": first[:, :, None] * self.every[:, None, :INPUTS],
             "b1": first,
-            "w2": second[:, :, None] * self.both[:, None, :],
+            "w2": second[:, :, None] * self.every[:, None, :both],
             "b2": second,
             "w3": self.every,
             "b3": np.ones((m, 1)),

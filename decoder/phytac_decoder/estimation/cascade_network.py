@@ -50,16 +50,31 @@ class CascadeNetwork:
 
     def __call__(self, features: FloatArray) -> FloatArray:
         """Return the stiffness k (m,) in N/mm for features (m, 10) in mm."""
-        w = self.layers()
-        x = features / self.scale_in
-        first = self._activate(x @ w["w1"].T + w["b1"])
-        both = np.concatenate([x, first], axis=1)
-        second = self._activate(both @ w["w2"].T + w["b2"])
-        every = np.concatenate([both, second], axis=1)
-        return np.asarray((every @ w["w3"].T + w["b3"])[:, 0] * self.scale_out)
+        rectified = self.activation == "rectified"
+        return forward(self.layers(), features / self.scale_in, rectified=rectified)[1] * (
+            self.scale_out
+        )
 
-    def _activate(self, values: FloatArray) -> FloatArray:
-        return np.maximum(values, 0.0) if self.activation == "rectified" else values
+
+def forward(
+    w: Mapping[str, FloatArray], x: FloatArray, *, rectified: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return all inputs of the last layer (m, 30), x and both hidden layers, and the output (m,).
+
+    Parameters
+    ----------
+    w : mapping
+        Weights by name.
+    x : (m, 10) float
+        Scaled inputs.
+    rectified : bool
+        Whether the hidden layers are.
+    """
+    every = x
+    for weight, bias in (("w1", "b1"), ("w2", "b2")):
+        hidden = every @ w[weight].T + w[bias]
+        every = np.concatenate([every, np.maximum(hidden, 0.0) if rectified else hidden], axis=1)
+    return every, np.asarray(every @ w["w3"][0] + w["b3"][0])
 
 
 def layers_of(parameters: FloatArray) -> dict[str, FloatArray]:

@@ -119,34 +119,17 @@ class ContactTracker:
             if not track.absent or time_s - track.seen_s <= SETTINGS.hold_s
         }
         tracks = list(self._tracks.values())
-        found = self._by_markers(tracks, contacts)
-        if found is None:
-            found = self._by_distance(tracks, contacts, time_s)
-            for row, track in list(found.items()):
-                if track.inside:
-                    self._split(found, row, track, contacts)
-            self._merge_or_drop(found, contacts, time_s)
+        found = self._by_distance(tracks, contacts, time_s)
+        for row, track in list(found.items()):
+            if track.inside:
+                self._split(found, row, track, contacts)
+        self._merge_or_drop(found, contacts, time_s)
         out = []
         for row, contact in enumerate(contacts):
             track = found.get(row) or self._new(contact, time_s)
             track.update(contact, time_s)
             out.append(replace(contact, id=track.id, since_s=track.since_s))
         return out
-
-    def _by_markers(
-        self, tracks: Sequence[_Track], contacts: Sequence[Contact]
-    ) -> dict[int, _Track] | None:
-        """Match the usual case: each contact shares markers with just one track."""
-        if len(tracks) != len(contacts) or any(track.absent or track.inside for track in tracks):
-            return None
-        of = {marker: track.id for track in tracks for marker in track.markers}
-        found: dict[int, _Track] = {}
-        for row, contact in enumerate(contacts):
-            owners = {of[marker] for marker in contact.markers if marker in of}
-            if len(owners) != 1:
-                return None
-            found[row] = self._tracks[owners.pop()]
-        return found if len({track.id for track in found.values()}) == len(contacts) else None
 
     def _by_distance(
         self, tracks: Sequence[_Track], contacts: Sequence[Contact], time_s: float
