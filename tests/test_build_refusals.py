@@ -9,6 +9,7 @@ from phytac_design.mechanics.switch import bowl_check
 from phytac_design.stages.build import build
 from phytac_shapes.errors import DesignError
 from tests.designs import small
+from tests.refusals import refused
 
 
 def quiet(_: str) -> None:
@@ -46,8 +47,9 @@ def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
     layout = {"kind": "straight", "rows": 12, "columns": 3, "height_far_mm": 2.0}
     design = small(name="one", layout=layout)
     seen: list[str] = []
-    with pytest.raises(DesignError, match=r"fused with another .* use layout.kind = .*--force"):
+    with refused("build-gate") as caught:
         build(design, tmp_path / "x", accuracy="draft", progress=seen.append)
+    caught.match("layout.kind")
     assert not any("shell" in text for text in seen)
     assert not (tmp_path / "x" / "manifest.json").exists()
     build(design, tmp_path / "x", accuracy="draft", force=True, progress=quiet)
@@ -58,8 +60,9 @@ def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
 
 def test_markers_too_small_to_see_are_refused_not_decoded(tmp_path: Path) -> None:
     design = small(name="far", camera={"stand_off_mm": 2000.0})
-    with pytest.raises(DesignError, match=r"112 markers hidden: .* \(rows 0 to 7"):
+    with refused("build-gate") as caught:
         build(design, tmp_path / "x", accuracy="draft", progress=quiet)
+    caught.match("rows 0 to 7")
 
 
 @pytest.mark.usefixtures("coarse_switches")
@@ -68,8 +71,9 @@ def test_switches_that_cannot_be_made_stop_the_build_unless_forced(
 ) -> None:
     monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[::3])
     design = small(name="unmade", switch={"modulus_MPa": 0.1})
-    with pytest.raises(DesignError, match=r"or take a rubber of .* MPa; or continue .*--force"):
+    with refused("build-gate") as caught:
         build(design, tmp_path / "x", accuracy="draft", progress=quiet)
+    caught.match("--force")
     assert not (tmp_path / "x").exists()
     only = ["printing", "bench"]
     build(design, tmp_path / "x", accuracy="draft", only=only, force=True, progress=quiet)

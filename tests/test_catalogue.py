@@ -6,7 +6,7 @@ import pytest
 
 import phytac_shapes
 from phytac_design.design.catalogue import shape_facts, shape_list, shape_page
-from phytac_shapes.errors import DesignError
+from tests.refusals import refused
 
 
 def test_every_family_has_its_line() -> None:
@@ -42,5 +42,6 @@ def test_defaults_are_written_as_toml() -> None:
 
 
 def test_an_unknown_family_is_refused() -> None:
-    with pytest.raises(DesignError, match="did you mean 'cone'"):
+    with refused("shape-unknown") as caught:
         shape_page("con")
+    caught.match("did you mean 'cone'")

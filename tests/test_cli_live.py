@@ -16,9 +16,9 @@ from phytac_decoder.io.bundle import load_bundle
 from phytac_design.layout import make_markers
 from phytac_design.layout.region_chart import bundle_regions
 from phytac_design.stages.build import BuildResult
-from phytac_shapes.errors import InputError
 from tests.decoder.toy_sensor import toy_recording
 from tests.designs import small
+from tests.refusals import refused
 from tests.test_cli import PHYTAC, phytac
 
 PATIENCE_S = 60.0
@@ -92,5 +92,5 @@ def test_shares_and_rows_are_those_of_the_design_beside_the_bundle(
     angle = np.arctan2(bundle.position_mm[:, 1], bundle.position_mm[:, 0])
     assert list(seam.markers) == np.flatnonzero(np.abs(angle) <= 0.2 * np.pi).tolist()
     assert bundle_regions(None, bundle, folder) == ()
-    with pytest.raises(InputError, match="cylinder60 is another design"):
+    with refused("decoder-of-other-design"):
         bundle_regions(path, bundle, folder, "cylinder60")

@@ -30,9 +30,9 @@ from phytac_design.datasets.samples_writer import write_samples
 from phytac_design.simulation.cramer_rao import cell_prior
 from phytac_design.simulation.run.data_set import data_set_info
 from phytac_design.simulation.run.job import Job
-from phytac_shapes.errors import OutputError
 from tests.designs import small
 from tests.made_up import at, found_of
+from tests.refusals import refused
 
 LINEAR: dict[str, object] = {"displacement": "linear"}
 
@@ -113,14 +113,15 @@ def test_another_data_set_is_refused(
 ) -> None:
     monkeypatch.setenv("PHYTAC_DATA", str(tmp_path))
     write_samples(_new(tmp_path / "a"), made_up(job()), data_set_info(job(**change)))
-    with pytest.raises(OutputError, match=f"another data set.*other {word}.*PHYTAC_DATA"):
+    with refused("output-foreign") as caught:
         data_set("a", job())
+    caught.match(f"another data set.*other {word}.*PHYTAC_DATA")
 
 
 def test_another_seed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PHYTAC_DATA", str(tmp_path))
     write_samples(_new(tmp_path / "a"), made_up(job()), replace(data_set_info(job()), seed=2))
-    with pytest.raises(OutputError, match="other seed"):
+    with refused("output-foreign"):
         data_set("a", job())
 
 

@@ -15,8 +15,8 @@ from phytac_design.design.design_file import (
     write_new_design,
 )
 from phytac_design.design.spec import Design
-from phytac_shapes.errors import DesignError, OutputError
 from tests.designs import small
+from tests.refusals import refused
 
 MINIMAL = {"name": "a", "shape": {"kind": "cylinder", "diameter_outer_mm": 60, "length_mm": 120}}
 
@@ -32,8 +32,9 @@ def test_presets_that_written_numbers_would_undo_are_refused(
     table: str, change: dict, field: str
 ) -> None:
     written = small().model_dump(mode="json")
-    with pytest.raises(DesignError, match=f"{field}.* are written out as those of"):
+    with refused("field-invalid") as caught:
         parse_design({**written, table: {**written[table], **change}}, "new")
+    caught.match(f"{field}.* are written out as those of")
     made = parse_design({**MINIMAL, table: change}, "made")
     again = parse_design(made.model_dump(mode="json"), "again")
     assert getattr(again, table) == getattr(made, table)
@@ -94,20 +95,22 @@ def test_assumptions_are_what_the_paper_does_not_state() -> None:
     ],
 )
 def test_bad_values_are_explained(change: dict, message: str) -> None:
-    with pytest.raises(DesignError, match=message):
+    with refused("field-invalid") as caught:
         parse_design({**MINIMAL, **change}, "bad.toml")
+    caught.match(message)
 
 
 def test_files_that_are_not_designs(tmp_path: Path) -> None:
     path = tmp_path / "x.toml"
     path.write_text("name = [unclosed")
-    with pytest.raises(DesignError, match="is not TOML"):
+    with refused("toml-syntax"):
         load_design(str(path))
     path.write_bytes(b"\xff\xfe\x00binary")
-    with pytest.raises(DesignError, match="not even text"):
+    with refused("toml-syntax"):
         load_design(str(path))
-    with pytest.raises(DesignError, match="did you mean 'cylinder60'"):
+    with refused("toml-file-not-found") as caught:
         load_design("cylinder6")
+    caught.match("did you mean 'cylinder60'")
 
 
 def test_new_design_is_commented_and_never_overwrites(tmp_path: Path) -> None:
@@ -115,7 +118,7 @@ def test_new_design_is_commented_and_never_overwrites(tmp_path: Path) -> None:
     assert "# Wall thickness, inward from the outer face." in path.read_text()
     assert "(assumed)" in path.read_text()
     assert load_design(str(path)).name == "mine"
-    with pytest.raises(OutputError, match="exists already"):
+    with refused("output-exists"):
         write_new_design("mine", "cylinder60", path)
 
 

@@ -13,7 +13,8 @@ from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.positions import read_positions
 from phytac_design.mechanics.calibration.measurements import read_measurements
 from phytac_shapes import Grip
-from phytac_shapes.errors import DesignError, InputError, NumericalError
+from phytac_shapes.errors import DesignError, InputError
+from tests.refusals import refused
 from verification.designs import base, changed, design_of
 from verification.shells import ring_case
 from verification.switch_cases import inflated_sphere
@@ -50,11 +51,11 @@ def test_absurd_values_are_rejected_in_few_words(
 def test_lists_nested_too_deeply_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "deep.toml"
     path.write_text("[layout]\npositions = " + 2000 * "[" + 2000 * "]")
-    with pytest.raises(DesignError, match="nested too deeply"):
+    with refused("toml-syntax"):
         load_design(str(path))
     lens = tmp_path / "deep.yaml"
     lens.write_text("a: " + 5000 * "[" + 5000 * "]")
-    with pytest.raises(InputError, match="nested too deeply; export it again"):
+    with refused("lens-file-invalid"):
         read_lens(lens)
 
 
@@ -69,8 +70,9 @@ def test_what_is_not_finite_is_named() -> None:
     case = ring_case(8)
     loads = case.loads.reshape(-1, 1).copy()
     loads[13] = np.inf
-    with pytest.raises(NumericalError, match="load 0 has inf at node 2; check"):
+    with refused("load-not-finite") as caught:
         case.model().solve(loads)
+    caught.match("node 2")
 
 
 def test_a_solid_can_be_moved_by_next_to_nothing() -> None:
@@ -79,23 +81,23 @@ def test_a_solid_can_be_moved_by_next_to_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "says"),
+    ("field", "value", "code"),
     [
-        ("networks", [], "wrong type or size"),
-        ("cameras", None, "wrong type or size"),
-        ("threshold_N", 10**400, "wrong type or size"),
-        ("noise_centroid_px", -1.0, "noise_centroid_px must lie between 0"),
-        ("force_max_N", float("nan"), "NaN is no number of JSON"),
+        ("networks", [], "bundle-invalid"),
+        ("cameras", None, "bundle-invalid"),
+        ("threshold_N", 10**400, "bundle-invalid"),
+        ("noise_centroid_px", -1.0, "bundle-invalid"),
+        ("force_max_N", float("nan"), "bundle-unreadable"),
     ],
     ids=["list", "null", "digits", "negative", "nan"],
 )
 def test_bundles_with_values_of_another_kind_are_refused(
-    tmp_path: Path, field: str, value: object, says: str
+    tmp_path: Path, field: str, value: object, code: str
 ) -> None:
     save_bundle(bundle(), tmp_path)
     path = tmp_path / "bundle.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), field: value}))
-    with pytest.raises(InputError, match=says) as caught:
+    with refused(code) as caught:
         load_bundle(tmp_path)
     assert "rebuild the decoder" in str(caught.value)
 
@@ -114,5 +116,5 @@ def test_a_quote_that_is_not_closed_is_refused(tmp_path: Path) -> None:
 
 
 def test_garbled_streams_say_what_to_do() -> None:
-    with pytest.raises(InputError, match="read it in the format that phytac serve was given"):
+    with refused("message-invalid"):
         MessageSplitter("lines").feed(b"\xff\xfe\n")

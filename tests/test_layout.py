@@ -9,8 +9,8 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import SHAPE_MODELS
 from phytac_design.layout import NEIGHBOUR_STEPS, make_lattice, make_markers
 from phytac_design.layout.scattered import sector_neighbours
-from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
+from tests.refusals import refused
 
 
 def test_cylinder60_is_the_published_sensor() -> None:
@@ -39,7 +39,7 @@ def test_spiral_angle_is_measured_from_where_it_says(measured_from: str, angle: 
 
 def test_a_spiral_along_the_circumference_is_refused() -> None:
     design = changed(layout={"spiral_from": "circumference", "spiral_angle_deg": 0.5})
-    with pytest.raises(DesignError, match=r"never leaves its row.*raise it to 1"):
+    with refused("spiral-angle-too-small"):
         make_markers(design, design.surface())
 
 

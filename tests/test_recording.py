@@ -10,8 +10,8 @@ from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.csv_recording import COLUMNS, Recorder, RegionRecorder
 from phytac_decoder.serving.wire_protocol import MessageBuilder
 from phytac_design.core.parquet_recording import to_parquet
-from phytac_shapes.errors import InputError, OutputError
 from tests.decoder.toy_sensor import toy_bundle
+from tests.refusals import refused
 from tests.test_cli import phytac
 
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -61,9 +61,10 @@ def test_invalid_recordings_are_rejected(tmp_path: Path) -> None:
         ("sequence,timestamp_s,valid,markers\n1,0.1,1,7 x\n", "is no recording: markers"),
     ):
         (tmp_path / "bad.csv").write_text(text)
-        with pytest.raises(InputError, match=message):
+        with refused("recording-invalid") as caught:
             to_parquet(tmp_path / "bad.csv", tmp_path / "out.parquet")
-    with pytest.raises(InputError, match="no recording at"):
+        caught.match(message)
+    with refused("file-unreadable"):
         to_parquet(tmp_path / "none.csv", tmp_path / "out.parquet")
     assert not list(tmp_path.glob("out.parquet*"))
 
@@ -82,6 +83,7 @@ def test_the_command_reports_its_output_and_overwrites_nothing(tmp_path: Path) -
     target = tmp_path / "out.parquet"
     made = phytac("convert", str(contacts), str(target))
     assert (made.returncode, made.stdout) == (0, f"{target}: 4 rows, {len(COLUMNS)} columns\n")
-    with pytest.raises(OutputError, match="is there already; add --force"):
+    with refused("output-exists") as caught:
         to_parquet(contacts, target)
+    caught.match("--force")
     assert to_parquet(contacts, target, force=True)[0] == 4

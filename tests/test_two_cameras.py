@@ -18,8 +18,8 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.stages.build import build
 from phytac_design.stages.frames_stage import FrameContacts, draw_frame_contacts, render_sample
-from phytac_shapes.errors import InputError
 from tests.designs import of_shape
+from tests.refusals import refused
 
 SHAPE = {"diameter_outer_mm": 34.0, "length_mm": 44.0}
 LAYOUT: dict[str, Any] = {
@@ -129,19 +129,19 @@ def test_frames_decode_as_well_as_with_one_camera(built: dict[str, Path]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("pick", "words"),
+    ("pick", "code"),
     [
-        (lambda a, _: a, r"has 2 cameras \(got 1 frame\); give one frame of each.*near end's"),
-        (lambda a, b: [a, b, a], r"has 2 cameras \(got 3 frames\)"),
-        (lambda a, b: [b, a], r"of the near camera; .* in the right order\?"),
-        (lambda a, b: [a, 0 * b], r"found 0 of 36 markers of the far camera"),
-        (lambda a, b: [a, b[:-1]], r"image is 648x485 px"),
+        (lambda a, _: a, "camera-count"),
+        (lambda a, b: [a, b, a], "camera-count"),
+        (lambda a, b: [b, a], "markers-not-found"),
+        (lambda a, b: [a, 0 * b], "markers-not-found"),
+        (lambda a, b: [a, b[:-1]], "frame-size"),
     ],
 )
-def test_wrong_frames_are_rejected(built: dict[str, Path], pick: Any, words: str) -> None:
+def test_wrong_frames_are_rejected(built: dict[str, Path], pick: Any, code: str) -> None:
     bundle = load_bundle(built["both"] / "decoder")
     frames: Frames = pick(*frames_in(built["both"], "frame_rest"))
-    with pytest.raises(InputError, match=words):
+    with refused(code):
         measure_frame(bundle, frames)
 
 
@@ -150,7 +150,7 @@ def test_one_camera_takes_one_frame(built: dict[str, Path]) -> None:
     (frame,) = render_sample(*presses(cylinder("near"), 1), 0)
     alone, listed = measure_frame(bundle, frame), measure_frame(bundle, [frame])
     np.testing.assert_array_equal(alone.shift_px, listed.shift_px)
-    with pytest.raises(InputError, match=r"has one camera \(got 2 frames\); give one frame of it"):
+    with refused("camera-count"):
         measure_frame(bundle, [frame, frame])
 
 
@@ -178,5 +178,5 @@ def test_the_command_takes_a_frame_of_each_camera(built: dict[str, Path]) -> Non
     truth = json.loads((out / "views" / "frame_pressed.json").read_text())
     assert reported["found"] == 72
     assert set(reported["forces_N"]) == set(truth)
-    with pytest.raises(InputError, match="has 2 cameras"):
+    with refused("camera-count"):
         CliRunner().invoke(app, words[:3], catch_exceptions=False)

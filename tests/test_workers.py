@@ -11,6 +11,7 @@ import pytest
 
 from phytac_design.core.workers import TaskResult, WorkerPool
 from phytac_shapes.errors import DesignError
+from tests.refusals import refused
 
 
 def start(base: int) -> int:
@@ -63,12 +64,12 @@ def test_every_task_is_done_once(workers: int) -> None:
 @pytest.mark.parametrize("workers", [0, 1])
 def test_errors_of_workers_are_raised(workers: int) -> None:
     with (
-        pytest.raises(DesignError, match="below zero"),
+        refused("base-below-zero"),
         WorkerPool(work, workers=workers, start=start, arguments=(-1,)) as pool,
     ):
         list(pool.run([1]))
     with WorkerPool(work, workers=workers, start=start, arguments=(0,)) as pool:
-        with pytest.raises(DesignError, match="thirteen"):
+        with refused("number-thirteen"):
             list(pool.run([13]))
         assert [r.value for r in pool.run([1])] == [1]
 

@@ -16,8 +16,8 @@ from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.live_view import LiveView, unrolled
 from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
-from phytac_shapes.errors import OutputError
 from tests.decoder.toy_sensor import toy_bundle
+from tests.refusals import refused
 
 PATIENCE_S = 10.0
 
@@ -163,7 +163,7 @@ def test_a_late_browser_gets_curves_thinned_evenly() -> None:
 def test_a_taken_port_is_named() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as taken,
-        pytest.raises(OutputError, match=r"cannot listen at .* give another --port"),
+        refused("port-unavailable"),
     ):
         LiveView(messages().hello(), port=taken.getsockname()[1])
 

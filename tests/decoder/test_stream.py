@@ -21,6 +21,7 @@ from phytac_shapes.errors import InputError
 from tests.decoder.test_marker_detection import lattice
 from tests.decoder.test_two_views import pair
 from tests.decoder.toy_sensor import toy_bundle, toy_frame, toy_recording
+from tests.refusals import refused
 
 
 class Frames(Source):
@@ -103,7 +104,7 @@ def test_two_cameras_are_decoded_together() -> None:
     assert decode(frame(near, far)).warnings == []
     (warning,) = decode(frame(near, moved)).warnings
     assert "the whole image of the far camera has shifted" in warning
-    with pytest.raises(InputError, match=r"has 2 cameras \(got 1 frame\)"):
+    with refused("camera-count"):
         decode(frame(near))
 
 
@@ -116,10 +117,10 @@ def test_another_decoder_can_be_plugged_in() -> None:
     sent, _ = run([np.full((2, 2, 3), 9, dtype=np.uint8)], decode=follower)
     assert sent[0]["total_N"] == 9.0
     assert sent[0]["warnings"] == ["made up"]
-    with pytest.raises(InputError, match="no estimator 'best'; known: fem"):
+    with refused("estimator-unknown"):
         frame_decoder(toy_bundle(), estimator="best")
     # It is known, but this decoder has no tables for it: reported before the first frame.
-    with pytest.raises(InputError, match="no estimator 'auto'; known: fem"):
+    with refused("estimator-unknown"):
         frame_decoder(toy_bundle(), estimator="auto")
 
 
@@ -159,7 +160,7 @@ def test_following_gives_the_same_forces_in_the_order_of_frames() -> None:
         assert found.koi.tolist() == wanted.koi.tolist()
         np.testing.assert_allclose(found.forces_N, wanted.forces_N, atol=0.1)
     assert wanted.forces_N[14] == pytest.approx(3.6, abs=0.2)
-    with pytest.raises(InputError, match="no estimator 'magic'"):
+    with refused("estimator-unknown"):
         follow_decoder(bundle, [images[0]], estimator="magic")
 
 

@@ -24,8 +24,8 @@ from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_design.stages.printing_stage import OTHERS, run
 from phytac_design.stages.shell_stage import run_shell
-from phytac_shapes.errors import DesignError
 from tests.fabrication.cases import built, design, family_design, shipped
+from tests.refusals import refused
 
 
 def on_bed(case: Design, *bed: float) -> Design:
@@ -122,14 +122,14 @@ def test_what_cannot_be_parted_says_why() -> None:
     golden = on_bed(shipped("hemisphere"), 50.0, 50.0, 15.0)
     case, surface, markers = built(golden)
     solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.1)
-    with pytest.raises(DesignError, match="without cutting through receptors"):
+    with refused("shell-exceeds-bed"):
         part_shell(Sensor.of(case, surface, markers), solid)
     tight = small().model_copy(
         update={"print_rules": PrintSection(bed_mm=(60.0, 60.0, 40.0), wall_free_min_mm=9.0)}
     )
     case, surface, markers = built(tight)
     solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.1)
-    with pytest.raises(DesignError, match="cannot be keyed"):
+    with refused("parting-keys-no-room"):
         part_shell(Sensor.of(case, surface, markers), solid)
     assert key_sizes(PrintSection(process="fdm"))[0].peg == 3.0
 

@@ -12,8 +12,8 @@ import pytest
 
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.mesh_writers import write_inp, write_msh, write_vtu
-from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
+from tests.refusals import refused
 
 FORCE_N = 10.0
 MARKER = 184  # row 11 of 23: the middle of the sensor
@@ -84,7 +84,7 @@ def test_files_are_deterministic_and_never_half_loaded(
         write_vtu(tmp_path / f"{name}.vtu", cylinder60.mesh)
     for kind in ("inp", "msh", "vtu"):
         assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
-    with pytest.raises(NumericalError, match="one finite value per DOF"):
+    with refused("load-vector-invalid"):
         write_job(tmp_path / "c.inp", cylinder60, np.zeros(7))
 
 

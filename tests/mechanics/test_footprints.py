@@ -19,9 +19,9 @@ from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share
 from phytac_design.simulation.contacts import Contacts
 from phytac_shapes import Plane, Surface
 from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 from tests.mechanics.families import FAMILIES, golden
 from tests.mechanics.touches import make_touches
+from tests.refusals import refused
 
 KINDS = (FLAT, SPHERE, CYLINDER)
 SHEET = Plane(width_mm=80.0, height_mm=80.0)
@@ -264,7 +264,7 @@ def test_no_contacts_no_markers_and_bad_contacts() -> None:
     assert footprint_shares(tube, none, marker, 2.0).shape == (0, 50)
     assert footprint_shares(tube, touches, marker[:0], 2.0).shape == (3, 0)
     touches.radius_mm[1] = -1.0
-    with pytest.raises(DesignError, match="contact 1: radius_mm is negative"):
+    with refused("contact-radius-negative"):
         footprint_shares(tube, touches, marker, 2.0)
 
 

@@ -19,8 +19,8 @@ from phytac_design.mechanics.shell.shell_element import element_stiffness
 from phytac_design.mechanics.shell.solve import ShellModel, rigid_modes
 from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
 from phytac_shapes import Cuboid, Hemisphere, Surface
-from phytac_shapes.errors import DesignError
 from tests.mechanics.families import DOMES, FAMILIES, WALL_MM, golden
+from tests.refusals import refused
 
 every_family = pytest.mark.parametrize("name", FAMILIES)
 
@@ -121,7 +121,7 @@ def test_markers_too_close_are_refused_by_name(gap_mm: float) -> None:
     surface = FAMILIES["hemisphere"]
     uv = golden(surface, 30)
     uv[7] = uv[19] + [gap_mm, 0.0]
-    with pytest.raises(DesignError, match=r"markers (7 and 19|19 and 7) are the closest"):
+    with refused("mesh-quality-too-low"):
         node_mesh(surface, uv, thickness_mm=WALL_MM, size_mm=6.0)
 
 
@@ -129,11 +129,11 @@ def test_marker_mesh_refuses_what_is_too_coarse() -> None:
     shape = {"kind": "hemisphere", "diameter_outer_mm": 60.0}
     design = Design.model_validate({"name": "x", "shape": shape, "layout": {"rows": 3}})
     surface = design.surface()
-    with pytest.raises(DesignError, match="refine"):
+    with refused("mesh-refine-invalid"):
         marker_mesh(surface, make_markers(design, surface), thickness_mm=WALL_MM, refine=0)
-    with pytest.raises(DesignError, match="size must be positive"):
+    with refused("mesh-size-not-positive"):
         plain_mesh(surface, thickness_mm=WALL_MM, size_mm=0.0)
-    with pytest.raises(DesignError, match="use plain_mesh"):
+    with refused("mesh-pole-unsupported"):
         chart_mesh(surface, thickness_mm=WALL_MM, n_along=4, n_around=8)
 
 
@@ -217,5 +217,5 @@ def test_a_surface_with_two_poles_is_refused() -> None:
     class Ball(Hemisphere):
         poles = (True, True)
 
-    with pytest.raises(DesignError, match="a pole at one end"):
+    with refused("mesh-pole-missing"):
         plain_mesh(Ball(diameter_outer_mm=9.0), thickness_mm=0.5, size_mm=1.0)

@@ -19,8 +19,8 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_shapes import Surface
-from phytac_shapes.errors import NumericalError
 from tests.designs import small
+from tests.refusals import refused
 from verification import large_shells as large_cases
 from verification.pressure_load import pressure_forces
 
@@ -91,13 +91,13 @@ def test_states_without_a_frame_are_refused() -> None:
     state = Corotational(model).rest()
     for bad in (np.nan, np.inf):
         state.displacement_mm[7] = bad
-        with pytest.raises(NumericalError, match="distorted"):
+        with refused("element-distorted"):
             ElementForces(model).internal(state)
     # All corners of an element in one place: no rotation fits.
     state.displacement_mm[7] = 0.0
     nodes = model.quads[3]
     state.displacement_mm[nodes] = -model.nodes_mm[nodes]
-    with pytest.raises(NumericalError, match="element 3 "):
+    with refused("element-distorted"):
         ElementForces(model).internal(state)
 
 

@@ -9,7 +9,7 @@ from phytac_design.mechanics.large import load_path, newton
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Control, Equilibrium, Loading, System
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_shapes.errors import NumericalError
+from tests.refusals import refused
 from verification import large_shells as large_cases
 from verification.path_tracing import trace_arc, trace_displacement
 
@@ -97,26 +97,26 @@ def test_reactions_balance_the_load() -> None:
 
 
 @pytest.mark.parametrize(
-    ("loading", "message"),
+    ("loading", "code"),
     [
-        (Loading(force=np.zeros(108)), "load is zero"),
-        (Loading(force=np.zeros(7)), "one finite value per DOF"),
-        (Loading(force=np.full(108, np.nan)), "one finite value per DOF"),
+        (Loading(force=np.zeros(108)), "load-zero"),
+        (Loading(force=np.zeros(7)), "load-vector-invalid"),
+        (Loading(force=np.full(108, np.nan)), "load-vector-invalid"),
     ],
 )
-def test_bad_loadings_are_refused(loading: Loading, message: str) -> None:
-    with pytest.raises(NumericalError, match=message):
+def test_bad_loadings_are_refused(loading: Loading, code: str) -> None:
+    with refused(code):
         solve_large(strip()[0], loading)
 
 
 def test_bad_controls_are_refused() -> None:
     model, load, _ = strip()
     for dof in (0, 3, 10_000):
-        with pytest.raises(NumericalError, match="not a free translation"):
+        with refused("path-dof-invalid"):
             trace_displacement(model, Loading(force=load), dof=dof, stops_mm=[1.0])
-    with pytest.raises(NumericalError, match="not finite"):
+    with refused("path-stop-not-finite"):
         solve_large(model, Loading(force=load), factors=[np.nan])
-    with pytest.raises(NumericalError, match="do not reach the stop"):
+    with refused("tracing-increments-exhausted"):
         trace_arc(
             model,
             Loading(force=load),
@@ -132,9 +132,9 @@ def test_what_does_not_converge_is_an_error_with_its_reason(
 ) -> None:
     model, load, _ = strip()
     monkeypatch.setattr(newton, "SETTINGS", replace(newton.SETTINGS, max_iterations=1))
-    with pytest.raises(NumericalError, match=r"path ends at 0.*no convergence in 1 iterations"):
+    with refused("no-equilibrium"):
         solve_large(model, Loading(force=load))
-    with pytest.raises(NumericalError, match="path ends at load factor 0"):
+    with refused("path-ended-early"):
         trace_arc(model, Loading(force=load), first_mm=1.0, longest_mm=1.0, stop=lambda _: True)
 
 
@@ -222,5 +222,5 @@ def test_a_shell_too_thin_for_the_digits_there_are_is_refused() -> None:
         poisson=0.0,
         fixed=model.fixed,
     )
-    with pytest.raises(NumericalError, match="rounding errors are too large"):
+    with refused("stiffness-ill-conditioned"):
         solve_large(thin, Loading(force=1e-12 * load))

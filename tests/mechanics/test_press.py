@@ -21,8 +21,9 @@ from phytac_design.mechanics.pressing.contact_patch import (
 )
 from phytac_design.mechanics.pressing.press import Press, bending_strain, press, write_press
 from phytac_design.mechanics.pressing.press_report import press_dict, press_text, press_warnings
-from phytac_shapes.errors import DesignError, NumericalError, OutputError
+from phytac_shapes.errors import NumericalError
 from tests.designs import small
+from tests.refusals import refused
 
 DESIGN = small()
 SURFACE = DESIGN.surface()
@@ -54,23 +55,23 @@ def test_place_is_a_marker_a_position_or_the_middle() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("words", "code"),
     [
-        ({"force_N": 0.0}, r"positive number of newtons \(got 0.0\)"),
-        ({"force_N": np.nan}, "positive number of newtons"),
-        ({"force_N": np.inf}, "positive number of newtons"),
-        ({"radius_mm": -1.0}, "0 or more"),
-        ({"radius_mm": np.nan}, "0 or more"),
-        ({"at": "112"}, "no marker 112: this design has markers 0 to 111"),
-        ({"at": "-1"}, "no marker -1"),
-        ({"at": "61,0"}, "off the surface: u = 61 is not between 0 and 60"),
-        ({"at": "1,2,3"}, "a marker's number or a chart position"),
-        ({"at": "nan,1"}, "a marker's number or a chart position"),
-        ({"at": "1.5"}, "a marker's number or a chart position"),
+        ({"force_N": 0.0}, "force-not-positive"),
+        ({"force_N": np.nan}, "force-not-positive"),
+        ({"force_N": np.inf}, "force-not-positive"),
+        ({"radius_mm": -1.0}, "patch-radius-invalid"),
+        ({"radius_mm": np.nan}, "patch-radius-invalid"),
+        ({"at": "112"}, "marker-unknown"),
+        ({"at": "-1"}, "marker-unknown"),
+        ({"at": "61,0"}, "contact-off-surface"),
+        ({"at": "1,2,3"}, "place-invalid"),
+        ({"at": "nan,1"}, "place-invalid"),
+        ({"at": "1.5"}, "place-invalid"),
     ],
 )
-def test_words_that_make_no_press_are_refused(words: dict[str, Any], message: str) -> None:
-    with pytest.raises(DesignError, match=message):
+def test_words_that_make_no_press_are_refused(words: dict[str, Any], code: str) -> None:
+    with refused(code):
         parse_contact_patch(Sensor.of(DESIGN, SURFACE, MARKERS), **{"force_N": 1.0} | words)
 
 
@@ -121,13 +122,13 @@ def test_receptors_stiffen_the_wall() -> None:
     assert 0.9 < pressed(1.0, "linear", refine=6).peak_mm / plain.peak_mm < 0.98
     odd = small(receptor={"diameter_outer_mm": 0.9, "diameter_hole_mm": 0.5})
     markers = make_markers(odd, SURFACE)
-    with pytest.raises(DesignError, match="without receptors"):
+    with refused("receptor-stiffness-range"):
         press(Sensor.of(odd, SURFACE, markers), place(1.0), refine=2)
     press(Sensor.of(odd, SURFACE, markers), place(1.0), refine=2, receptors=False)
 
 
 def test_more_than_the_shell_carries_is_refused() -> None:
-    with pytest.raises(NumericalError, match="is more than this shell carries: the wall would"):
+    with refused("strain-too-large"):
         pressed(5e4, "large")
 
 
@@ -136,7 +137,7 @@ def test_no_equilibrium_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
         raise NumericalError("no-equilibrium", "the path ends at 0.6")
 
     monkeypatch.setattr(module, "solve_large", fails)
-    with pytest.raises(NumericalError, match=r"30 N .* more than .*: no equilibrium .* at 0\.6"):
+    with refused("press-no-equilibrium"):
         press(Sensor.of(DESIGN, SURFACE, MARKERS), place(30.0), theory="large", refine=2)
 
 
@@ -181,7 +182,7 @@ def test_moved_mesh_is_written(tmp_path: Path) -> None:
     result = pressed(1.0, "linear")
     back = meshio.read(write_press(tmp_path / "a.vtu", result))
     np.testing.assert_array_equal(back.point_data["displacement_mm"], result.motion[:, :3])
-    with pytest.raises(OutputError, match="cannot write"):
+    with refused("output-not-writable"):
         write_press(tmp_path / "no" / "a.vtu", result)
 
 
@@ -199,7 +200,7 @@ def test_mesh_error_is_of_the_size_of_the_true_one() -> None:
 
 
 def test_unknown_theory_and_tolerance_are_refused() -> None:
-    with pytest.raises(DesignError, match="auto, linear, large"):
+    with refused("theory-unknown"):
         pressed(1.0, "cubic")
-    with pytest.raises(DesignError, match="tolerance must be positive"):
+    with refused("tolerance-invalid"):
         pressed(1.0, tolerance=0.0)

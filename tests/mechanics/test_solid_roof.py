@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from phytac_design.mechanics.large.newton import Loading
-from phytac_shapes.errors import NumericalError
+from tests.refusals import refused
 from verification.large_shells import hinged_roof
 from verification.path_tracing import trace_displacement
 from verification.solid_roof import solid_roof
@@ -31,5 +31,5 @@ def test_roof_against_bricks_of_calculix(tmp_path: Path) -> None:
 
 @NO_CCX
 def test_a_job_that_does_not_finish_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(NumericalError, match="ccx did not finish"):
+    with refused("calculix-failed"):
         solid_roof(tmp_path, 2, thickness_mm=12.7, sags_mm=[float("nan")])

@@ -9,7 +9,7 @@ from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.cylinder import Cylinder
-from phytac_shapes.errors import NumericalError
+from tests.refusals import refused
 from verification import shells as cases
 
 TUBE = chart_mesh(
@@ -68,21 +68,24 @@ def test_compliance_scales_with_modulus_and_takes_values_per_element() -> None:
 
 def test_a_body_that_can_move_is_refused_with_the_motions_blocked() -> None:
     loose = np.zeros_like(model().fixed)
-    with pytest.raises(NumericalError, match=r"not held.*block 0 of 6"):
+    with refused("shell-not-held") as caught:
         model(fixed=loose)
+    caught.match("0 of 6")
     loose[0, :3] = True
-    with pytest.raises(NumericalError, match="block 3 of"):
+    with refused("shell-not-held") as caught:
         model(fixed=loose)
+    caught.match("3 of")
     loose[3, :3] = True  # a hinge about the line of the two nodes is left
-    with pytest.raises(NumericalError, match="block 5 of"):
+    with refused("shell-not-held") as caught:
         model(fixed=loose)
+    caught.match("5 of")
     loose[8, 2] = True
     assert model(fixed=loose).solve(np.ones(loose.size)).error < 1e-6
 
 
 def test_a_second_loose_body_is_found() -> None:
     count = len(TUBE.nodes_mm)
-    with pytest.raises(NumericalError, match="not held"):
+    with refused("shell-not-held"):
         model(
             nodes_mm=np.concatenate([TUBE.nodes_mm, TUBE.nodes_mm + 100.0]),
             directors=np.concatenate([TUBE.normals, TUBE.normals]),
@@ -92,7 +95,7 @@ def test_a_second_loose_body_is_found() -> None:
 
 
 def test_a_node_without_elements_is_refused() -> None:
-    with pytest.raises(NumericalError, match="belongs to no element"):
+    with refused("node-without-element"):
         model(
             nodes_mm=np.concatenate([TUBE.nodes_mm, [[0.0, 0, 0]]]),
             directors=np.concatenate([TUBE.normals, [[0.0, 0, 1]]]),
@@ -101,26 +104,29 @@ def test_a_node_without_elements_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
+    ("changes", "code"),
     [
-        ({"thickness_mm": 0.0}, "thickness_mm"),
-        ({"thickness_mm": np.nan}, "thickness_mm"),
-        ({"modulus_MPa": -1.0}, "modulus_MPa"),
-        ({"poisson": 0.5}, "poisson"),
-        ({"poisson": np.nan}, "poisson"),
-        ({"nodes_mm": np.where(TUBE.nodes_mm > 29.9, np.nan, TUBE.nodes_mm)}, "coordinates"),
-        ({"fixed": np.zeros((3, 6), dtype=bool)}, "one flag per DOF"),
+        ({"thickness_mm": 0.0}, "material-value-invalid"),
+        ({"thickness_mm": np.nan}, "material-value-invalid"),
+        ({"modulus_MPa": -1.0}, "material-value-invalid"),
+        ({"poisson": 0.5}, "poisson-out-of-range"),
+        ({"poisson": np.nan}, "poisson-out-of-range"),
+        (
+            {"nodes_mm": np.where(TUBE.nodes_mm > 29.9, np.nan, TUBE.nodes_mm)},
+            "material-value-invalid",
+        ),
+        ({"fixed": np.zeros((3, 6), dtype=bool)}, "fixed-flags-shape"),
     ],
 )
-def test_bad_input_is_refused(changes: dict[str, Any], reason: str) -> None:
-    with pytest.raises(NumericalError, match=reason):
+def test_bad_input_is_refused(changes: dict[str, Any], code: str) -> None:
+    with refused(code):
         model(**changes)
 
 
 def test_a_load_that_is_not_finite_is_refused() -> None:
     load = np.zeros(6 * len(TUBE.nodes_mm))
     load[100] = np.inf
-    with pytest.raises(NumericalError, match="not finite"):
+    with refused("load-not-finite"):
         model().solve(load)
 
 
@@ -131,7 +137,7 @@ def test_a_result_dominated_by_rounding_is_refused() -> None:
     cases.hold(fixed, strip.ab[:, 0] == 0.0, (0, 1, 2, 3, 4, 5))
     loads = np.zeros((len(strip.nodes), 6))
     loads[-1, 2] = 1.0
-    with pytest.raises(NumericalError, match="rounding"):
+    with refused("stiffness-ill-conditioned"):
         cases.solve_case(strip, fixed, loads, modulus=1.0, poisson=0.3, thickness=1e-7)
 
 
@@ -234,7 +240,7 @@ def test_a_solution_out_of_balance_is_refused() -> None:
             return np.asarray(good.solve(right) * (1.0 + 0.01 * np.arange(len(right))[:, None]))
 
     tube.factor.backend = Wrong()
-    with pytest.raises(NumericalError, match="rounding"):
+    with refused("stiffness-ill-conditioned"):
         tube.solve(load)
 
 

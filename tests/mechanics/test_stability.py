@@ -12,7 +12,7 @@ from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
 from phytac_design.mechanics.large.stability import negative_pivots, path_deviation
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
-from phytac_shapes.errors import NumericalError
+from tests.refusals import refused
 from verification import large_shells as large_cases
 from verification.path_tracing import trace_arc, trace_displacement
 
@@ -153,7 +153,7 @@ def test_increments_do_not_go_on_for_ever(
     roof: tuple[ShellModel, np.ndarray, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(load_path, "SETTINGS", replace(load_path.SETTINGS, max_increments=2))
-    with pytest.raises(NumericalError, match="2 increments did not suffice"):
+    with refused("no-equilibrium"):
         solve_large(roof[0], Loading(force=roof[1]), factors=[0.99 * LIMIT])
 
 

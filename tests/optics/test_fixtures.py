@@ -23,9 +23,9 @@ from phytac_design.optics.render_scene import FIRST_FIXTURE, paint_owner
 from phytac_design.rules.design_review import checkup
 from phytac_design.stages import STAGES
 from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 from tests.optics.cases import Bench, make_design
 from tests.optics.lenses import LENSES
+from tests.refusals import refused
 
 FEW = {"rows": 3, "columns": 4, "height_near_mm": 3.0, "height_far_mm": 6.0}
 ROD = {"name": "cable", "kind": "cylinder", "radius_mm": 3.0}
@@ -145,20 +145,20 @@ def test_an_stl_file_becomes_part_of_the_design(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "code"),
     [
-        (b"", "is not an STL file"),
-        (b"\x00\x01\xff" * 99, "is not an STL file"),
-        (b"solid\nvertex 1 2 x\n", "is not an STL file"),
-        (b"solid\nvertex 1 2 nan\nvertex 1 1 1\nvertex 0 0 0", "is not an STL file"),
-        (stl_bytes(np.zeros((TRIANGLES_MAX + 1, 3, 3))), "5001 triangles, more than 5000"),
+        (b"", "fixture-file-invalid"),
+        (b"\x00\x01\xff" * 99, "fixture-file-invalid"),
+        (b"solid\nvertex 1 2 x\n", "fixture-file-invalid"),
+        (b"solid\nvertex 1 2 nan\nvertex 1 1 1\nvertex 0 0 0", "fixture-file-invalid"),
+        (stl_bytes(np.zeros((TRIANGLES_MAX + 1, 3, 3))), "fixture-too-many-triangles"),
     ],
 )
-def test_files_that_are_not_fixtures(content: bytes, words: str, tmp_path: Path) -> None:
+def test_files_that_are_not_fixtures(content: bytes, code: str, tmp_path: Path) -> None:
     (tmp_path / "x.stl").write_bytes(content)
-    with pytest.raises(DesignError, match=words):
+    with refused(code):
         read_stl(tmp_path / "x.stl")
-    with pytest.raises(DesignError, match="relative to the design file"):
+    with refused("fixture-file-unreadable"):
         read_stl(tmp_path / "nowhere.stl")
 
 
@@ -183,8 +183,9 @@ def test_files_that_are_not_fixtures(content: bytes, words: str, tmp_path: Path)
 )
 def test_bad_fixtures_are_explained(change: dict[str, Any], message: str) -> None:
     data = with_fixtures().model_dump(mode="json")
-    with pytest.raises(DesignError, match=message):
+    with refused("field-invalid") as caught:
         parse_design({**data, "fixtures": [change]}, "bad.toml")
+    caught.match(message)
 
 
 def test_every_stage_that_draws_the_light_bar_draws_fixtures() -> None:

@@ -15,8 +15,8 @@ from phytac_design.optics.lens_facts import BANDS, lens_facts, row_groups
 from phytac_design.report.report_sections import lens_section
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
-from phytac_shapes.errors import DesignError
 from tests.optics.cases import Bench, make_design
+from tests.refusals import refused
 
 FEW = {"rows": 3, "columns": 8, "height_near_mm": 0.5, "height_far_mm": 6.0}
 
@@ -94,7 +94,7 @@ def test_a_wide_lens_too_close_is_said_with_a_distance_that_works() -> None:
 
 
 def test_a_focus_inside_the_lens_is_refused_before_a_build() -> None:
-    with pytest.raises(DesignError, match="within the focal length"):
+    with refused("focus-within-focal-length"):
         check_design(make_design(layout=FEW, camera={"focus_mm": 0.1}))
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from phytac_design.optics.sharpness import Sharpness, sharpness
-from phytac_shapes.errors import DesignError
 from tests.optics.cases import FULL, Bench, make_design
+from tests.refusals import refused
 
 
 def facts(**camera: Any) -> tuple[Sharpness, Bench]:
@@ -55,5 +55,5 @@ def test_a_fisheye_has_facts_as_well() -> None:
 
 
 def test_a_focus_inside_the_lens_is_refused() -> None:
-    with pytest.raises(DesignError, match="within the focal length"):
+    with refused("focus-within-focal-length"):
         facts(focus_mm=1.0)

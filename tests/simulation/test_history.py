@@ -14,7 +14,7 @@ from phytac_design.simulation.scenario.viscoelasticity import (
     switch_step,
 )
 from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
+from tests.refusals import refused
 
 G, TAU = 0.3, 2.0
 SOLID = Relaxation(share=np.array([G]), time_s=np.array([TAU]))
@@ -178,13 +178,13 @@ def test_light_fades_to_its_share() -> None:
     ("share", "time_s"), [([0.6, 0.5], [1.0, 2.0]), ([0.1, 0.1], [1.0, 1.0]), ([-0.1], [1.0])]
 )
 def test_series_that_are_no_modulus(share: list[float], time_s: list[float]) -> None:
-    with pytest.raises(NumericalError, match="Prony series"):
+    with refused("prony-series-invalid"):
         Relaxation(share=np.array(share), time_s=np.array(time_s))
 
 
 def test_times_must_grow() -> None:
     creep = Creep(share=np.array([0.1]), time_s=np.array([1.0]))
-    with pytest.raises(NumericalError, match=r"got 2 s before 1 s"):
+    with refused("force-history-order"):
         felt_force(creep, np.array([0.0, 2.0, 1.0]), np.zeros(3))
-    with pytest.raises(NumericalError, match=r"got 2 s before 1 s"):
+    with refused("force-history-order"):
         force_under_depth(SOLID, np.array([0.0, 2.0, 1.0]), np.zeros(3))

@@ -17,7 +17,7 @@ from phytac_design.studio.studies import studies, study_table
 from phytac_design.study.search.design_space import make_space
 from phytac_design.study.search.driver import run_study
 from phytac_design.study.search.study_file import Study
-from phytac_shapes.errors import InputError
+from tests.refusals import refused
 from tests.studio.place import DESIGN, Client, stand_in
 
 Json = dict[str, Any]
@@ -246,7 +246,7 @@ def test_damaged_studies_are_states(tmp_path: Path, studied: Path) -> None:
     folder.mkdir()
     (folder / "study.json").write_text((studied / "study.json").read_text())
     (folder / "results.parquet").write_bytes(b"PAR1 not really PAR1")
-    with pytest.raises(InputError, match="cannot be read"):
+    with refused("study-results-unreadable"):
         study_table(folder)
     assert [item["folder"] for item in studies(tmp_path)] == ["broken"]
     (folder / "study.json").write_text("{")

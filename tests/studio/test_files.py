@@ -10,8 +10,9 @@ import pytest
 
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.studio.files import ConfirmationError, ProjectFolder, edited
-from phytac_shapes.errors import DesignError, InputError, OutputError
+from phytac_shapes.errors import InputError, OutputError
 from tests.fuzz.judge import little_time
+from tests.refusals import refused
 from tests.studio.place import DESIGN, Client
 
 Json = dict[str, Any]
@@ -106,7 +107,7 @@ def test_a_design_from_nowhere_gets_the_comments_of_the_model(
 
 def test_what_is_there_is_not_written_over_unasked(project: ProjectFolder, data: Json) -> None:
     path = project.root / "short.toml"
-    with pytest.raises(ConfirmationError, match="exists already"):
+    with refused("overwrite-unconfirmed"):
         project.save("short.toml", data, source="short.toml")
     with pytest.raises(ConfirmationError):
         project.save("short.toml", data, source="short.toml", replace="0" * 64)
@@ -149,8 +150,9 @@ def test_a_link_that_leads_out_is_not_followed(project: ProjectFolder, data: Jso
 
 def test_a_design_that_is_none_is_not_saved(project: ProjectFolder, data: Json) -> None:
     data["layout"]["rows"] = -1
-    with pytest.raises(DesignError, match=r"layout\.rows"):
+    with refused("field-invalid") as caught:
         project.save("short.toml", data, source="short.toml", force=True)
+    caught.match(r"layout\.rows")
     assert (project.root / "short.toml").read_text() == DESIGN
 
 
@@ -163,7 +165,7 @@ def test_files_that_it_names_must_be_found_at_the_new_place(
     data["layout"] = {"kind": "explicit", "positions_csv": "points.csv", "height_far_mm": 0.6}
     project.save("beside.toml", data, source="short.toml")
     assert 'positions_csv = "points.csv"' in (project.root / "beside.toml").read_text()
-    with pytest.raises(DesignError, match=r"points\.csv"):
+    with refused("positions-file-unreadable"):
         project.save("below/it.toml", data, source="beside.toml")
     assert not (project.root / "below").exists()
 
@@ -175,7 +177,7 @@ def test_a_folder_that_cannot_be_written_is_reported(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(OutputError, match="No space left on device"):
+    with refused("output-not-writable"):
         project.save("short.toml", data, source="short.toml", force=True)
     assert (project.root / "short.toml").read_text() == DESIGN
     assert [path.name for path in project.root.iterdir()] == ["short.toml"]

@@ -22,6 +22,7 @@ from phytac_design.study.advice.refinement import (
     step_of,
 )
 from phytac_shapes.errors import DesignError
+from tests.refusals import refused
 from tests.study.advice.cases import DRAFT, tube, with_long_row
 
 ONLY = ["wall", "layout.height_far_mm"]
@@ -75,8 +76,9 @@ def test_polish_resumes(done: RefinedDesign, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_polish_requires_a_design_without_faults() -> None:
-    with pytest.raises(DesignError, match="repair them before --polish"):
+    with refused("design-not-repaired") as caught:
         refine(with_long_row(2, 3.5), DRAFT)
+    caught.match("--polish")
 
 
 def test_command(tmp_path: Path, done: RefinedDesign) -> None:

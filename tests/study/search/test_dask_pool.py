@@ -18,12 +18,12 @@ from phytac_design.study.search.driver import run_study
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.study_folder import RESULTS, parquet_library
 from phytac_design.study.search.successive_halving import FAILED, OK, Outcome, Task
-from phytac_shapes.errors import InputError
 from tests.study.search.studies import space_of, tiny
 
 distributed = pytest.importorskip("distributed")
 
 from phytac_design.study.search.dask_pool import DaskPool  # noqa: E402 - after the skip
+from tests.refusals import refused  # noqa: E402
 
 # Dask's own threads and sockets end a little after what started them.
 pytestmark = [
@@ -145,7 +145,7 @@ def test_a_scheduler_that_is_killed_ends_the_run_and_loses_nothing(
     pool = DaskPool(address=cluster.listening())
     killer = threading.Timer(0.5, cluster.parts[0].kill)
     killer.start()
-    with pytest.raises(InputError, match="is lost; start it again"):
+    with refused("scheduler-lost"):
         run_study(study(), space_of(study()), tmp_path, kind="sweep", pool=pool)
     killer.join()
     pool.close()

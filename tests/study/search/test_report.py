@@ -17,7 +17,7 @@ from phytac_design.study.search.search_report import (
     speedup,
     write_page,
 )
-from phytac_shapes.errors import InputError
+from tests.refusals import refused
 from tests.study.search.studies import space_of, tiny
 
 
@@ -110,5 +110,5 @@ def test_speedup_of_successive_halving() -> None:
 
 
 def test_a_folder_without_results_says_so(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no study"):
+    with refused("study-not-found"):
         read_results(tmp_path)

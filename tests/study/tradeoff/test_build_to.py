@@ -16,8 +16,8 @@ from phytac_design.study.tradeoff import budget as budget_module
 from phytac_design.study.tradeoff import build_to as module
 from phytac_design.study.tradeoff.build_to import AUDIT, build_to
 from phytac_design.study.tradeoff.choose import Choice
-from phytac_shapes.errors import DesignError
 from tests.designs import small
+from tests.refusals import refused
 
 
 def quiet(_: str) -> None:
@@ -67,10 +67,10 @@ def test_a_tolerance_is_built_and_audited(
 
 def test_exactly_one_of_the_two_is_required(tmp_path: Path) -> None:
     for more in ({}, {"tolerance": 0.1, "budget_s": 60.0}):
-        with pytest.raises(DesignError, match="a tolerance or a budget, and not both"):
+        with refused("options-exclusive"):
             build_to(small(), tmp_path / "out", progress=quiet, **more)
     assert not (tmp_path / "out").exists()
-    with pytest.raises(DesignError, match="--tolerance-of 'taste' is not known"):
+    with refused("tolerance-kind-unknown"):
         build_within(
             small(), tmp_path, tolerance="2%", tolerance_of="taste", budget=None, seed=0,
             force=False,

@@ -5,8 +5,8 @@ import pytest
 
 from phytac_design.layout.arc import by_area
 from phytac_design.study.tradeoff.force import standard_contacts
-from phytac_shapes.errors import DesignError
 from tests.designs import drawn, small
+from tests.refusals import refused
 
 
 @pytest.mark.parametrize("kind", ["cylinder", "cone", "hemisphere", "plane", "grip"])
@@ -45,5 +45,5 @@ def test_places_are_even_over_the_area_of_a_dome() -> None:
 
 def test_a_sensor_that_is_all_rim_is_rejected() -> None:
     design = small(training={"patch_radius_min_mm": 30.0, "patch_radius_max_mm": 31.0})
-    with pytest.raises(DesignError, match="no place on this sensor is"):
+    with refused("standard-contacts-no-room"):
         standard_contacts(design, design.surface())

@@ -17,8 +17,8 @@ from phytac_design.study.tradeoff.joint import JointGrid
 from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
 from phytac_design.study.tradeoff.run_tradeoff import tradeoff
 from phytac_design.study.tradeoff.settings import QUANTITIES, SETTINGS, setting_named
-from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import drawn
+from tests.refusals import refused
 
 
 def at(seconds: float, force: float, volume: float = 0.0) -> MeasuredSetting:
@@ -56,8 +56,9 @@ def test_every_setting_of_a_build_is_read_by_a_stage() -> None:
         assert setting.quantity in QUANTITIES
         assert bool(setting.stages) == setting.of_build
         assert len(set(setting.values)) == len(setting.values) >= 2
-    with pytest.raises(DesignError, match="did you mean 'refine'"):
+    with refused("setting-unknown") as caught:
         setting_named("refin")
+    caught.match("did you mean 'refine'")
 
 
 def test_presets_are_joint_settings() -> None:
@@ -103,7 +104,7 @@ def test_stages_are_measured_apart_from_what_they_need(tmp_path: Path) -> None:
     assert found["stages"] == {"mesh": pytest.approx(found["seconds"])}
     assert 50.0 < found["peak_MB"] < 4000.0
     assert found["cpu_s"] > 0.0
-    with pytest.raises(NumericalError, match="could not be measured"):
+    with refused("point-not-measured"):
         points.get(Point(kind="use", name="none", settings={"none": 1}))
 
 
