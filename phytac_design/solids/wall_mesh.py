@@ -26,24 +26,28 @@ from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 
-def wall_mesh(surface: Surface, wall: WallSection, *, tolerance_mm: float) -> TriangleMesh:
+def wall_mesh(
+    surface: Surface, wall: WallSection, *, tolerance_mm: float, lift_mm: float = 0.0
+) -> TriangleMesh:
     """Closed mesh of the wall and its rims, within ``tolerance_mm`` of the true faces.
 
     Corners are moved off the true face, by two thirds of the sag of the chords that meet there,
     which gives each cross-section the area of the true one (for a circle:
-    r' = r·sqrt(θ / sin θ), θ = 2π/n, to fourth order; derived here).
+    r' = r·sqrt(θ / sin θ), θ = 2π/n, to fourth order; derived here). ``lift_mm`` moves all of it
+    outwards.
 
     Raises
     ------
     DesignError
         If the surface is no tube, dome or sheet, or a rim folds on itself.
     """
-    u, v = chart_stations(surface, wall, tolerance_mm)
+    sampled = wall.model_copy(update={"rim_flange_mm": wall.rim_flange_mm + lift_mm})
+    u, v = chart_stations(surface, sampled, tolerance_mm)
     loops = chart_loops(surface, u, v)
     ids = _grid_ids(surface, len(u), len(v))
     count = ids.size
     inner_ids = ids + count
-    points = [_face(surface, u, v, 0.0), _face(surface, u, v, -wall.thickness_mm)]
+    points = [_face(surface, u, v, lift_mm - depth) for depth in (0.0, wall.thickness_mm)]
     triangles = [
         grid_triangles(ids, closed=surface.periodic[1]),
         grid_triangles(inner_ids, closed=surface.periodic[1])[:, ::-1],
@@ -53,7 +57,7 @@ def wall_mesh(surface: Surface, wall: WallSection, *, tolerance_mm: float) -> Tr
     for loop in loops:
         own = [ids.ravel()[loop.index]]
         for offset, extension in rings:
-            ring = _ring(surface, loop, offset, extension)
+            ring = _ring(surface, loop, lift_mm + offset, extension)
             # On the edge itself the stations of a mitre are one point.
             same = np.unique(loop.index, return_inverse=True)[1]
             place = np.arange(len(ring)) if extension > 0.0 else same

@@ -14,7 +14,6 @@ from phytac_design.design.documents_table import KitSection
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.grippers import jaw, palm_radius_mm
 from phytac_design.fabrication.calibration_rig.guide import guide_text
-from phytac_design.fabrication.calibration_rig.offset_surface import OffsetSurface
 from phytac_design.fabrication.calibration_rig.program import gcode, make_program
 from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at, make_regions
 from phytac_design.fabrication.calibration_rig.tool_bodies import (
@@ -31,7 +30,7 @@ from phytac_design.solids.solid_mesh import shell_manifold, stl_triangles, to_ma
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import FloatArray
-from tests.fabrication.cases import FAMILIES, built, family_design, shipped
+from tests.fabrication.cases import built, family_design, shipped
 
 TOL_mm = 0.03
 BOWL_mm = 1.8
@@ -104,7 +103,7 @@ def test_cleaning_keeps_the_solid_and_leaves_no_needle() -> None:
             (np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.maximum(long, 1e-9)).min()
         )
 
-    assert least(rough) < 2e-5 <= least(smooth)
+    assert least(rough) < 1e-5 <= least(smooth)
     facts = trimesh_facts(smooth)
     assert (facts.watertight, facts.bodies) == (True, 1)
     assert facts.volume_mm3 == pytest.approx(rough.volume_mm3, rel=1e-6)
@@ -263,18 +262,6 @@ def test_the_palm_is_as_wide_as_curvature_and_rims_let_it_be() -> None:
     )
     narrow = copy_of(design, shape={"diameter_outer_mm": 40.0}, layout={"height_far_mm": 4.0})
     assert palm_radius_mm(Sensor.of(*built(narrow)), middle) == pytest.approx(12.0)
-
-
-@pytest.mark.parametrize("name", sorted(FAMILIES))
-def test_lifted_surfaces_have_true_tangents(name: str) -> None:
-    lifted = OffsetSurface(base=family_design(name).surface(), lift_mm=2.5)
-    low, high = lifted.domain.T
-    uv = low + (high - low) * np.random.default_rng(3).uniform(0.1, 0.9, (20, 2))
-    for axis in (0, 1):
-        step = np.zeros(2)
-        step[axis] = 1e-5 * (high - low)[axis]
-        rate = (lifted.point(uv + step) - lifted.point(uv - step)) / (2.0 * step[axis])
-        assert lifted.tangents(uv)[:, axis] == pytest.approx(rate, abs=2e-4)
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,12 @@ from typing import Any
 import numpy as np
 
 from phytac_design.design.spec import Design, WallSection
-from phytac_design.fabrication.calibration_rig.offset_surface import OffsetSurface
 from phytac_design.fabrication.calibration_rig.regions import Regions
 from phytac_design.fabrication.calibration_rig.tool_solids import OVER_mm, rod
 from phytac_design.geometry.boundary_loops import conormals
-from phytac_design.geometry.triangles import TriangleMesh, strip_triangles
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.solids.solid_mesh import to_manifold
+from phytac_design.solids.solid_mesh import extruded_manifold, to_manifold
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -52,13 +50,8 @@ def _outline(surface: Surface, offset_mm: float, extensions: tuple[float, ...]) 
 
 def _ring(inner: FloatArray, outer: FloatArray, low: float, high: float) -> Any:
     """Solid between two outlines (k, 2) and two heights."""
-    k = len(inner)
-    rings = [(inner, low), (inner, high), (outer, high), (outer, low)]
-    points = np.concatenate([np.column_stack([line, np.full(k, z)]) for line, z in rings])
-    ids = np.arange(4 * k).reshape(4, k)
-    sides = [strip_triangles(ids[a], ids[(a + 1) % 4]) for a in range(4)]
-    mesh = TriangleMesh(vertices_mm=points, triangles=np.concatenate(sides))
-    return to_manifold(mesh if mesh.volume_mm3 > 0.0 else mesh.flipped())
+    hole = extruded_manifold(inner, low - OVER_mm, high + OVER_mm)
+    return extruded_manifold(outer, low, high) - hole
 
 
 def collar(sensor: Sensor, tolerance_mm: float) -> Any:
@@ -158,8 +151,8 @@ def _blank(design: Design, surface: Surface, bowl_mm: float, tolerance_mm: float
 
     def slab(low: float, high: float, extension: float) -> Any:
         section = WallSection(thickness_mm=high - low, rim_length_mm=extension, rim_flange_mm=0.0)
-        lifted = OffsetSurface(base=surface, lift_mm=high)
-        return to_manifold(wall_mesh(lifted, section, tolerance_mm=tolerance_mm))
+        mesh = wall_mesh(surface, section, tolerance_mm=tolerance_mm, lift_mm=high)
+        return to_manifold(mesh)
 
     # A little beyond the ends: sides on lines of the other solids would leave slivers.
     over = slab(-OVER_mm - wall.thickness_mm, lift, past_mm)
