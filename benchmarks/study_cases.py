@@ -4,8 +4,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from phytac_design.core.threads import THREADS
 from phytac_design.study.search.design_space import DesignSpace, Params, make_space
 from phytac_design.study.search.sampler import sobol
@@ -75,8 +73,3 @@ def drawn(study: Study, space: DesignSpace, count: int, first: int = 0) -> list[
 def one_thread() -> None:
     """Kernels of this process on one thread: figures are per core."""
     os.environ[THREADS] = "1"
-
-
-def median(values: list[float]) -> float:
-    """Median of a list."""
-    return float(np.median(values))

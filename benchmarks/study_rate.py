@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from benchmarks.harness import Table
-from benchmarks.study_cases import SPACES, drawn, median, one_thread, study_of
+from benchmarks.study_cases import SPACES, drawn, one_thread, study_of
 from phytac_design.study.search.measures import MEASURES, measures_up_to
 from phytac_design.study.search.successive_halving import OK, Outcome, evaluate_candidate, spec_of
 
@@ -39,7 +39,7 @@ def rate(table: Table, *, quick: bool) -> None:
         row = f"{shape}: designs a second and core, those that pass the rules"
         note = (
             f"{len(able)} of {each} pass; {min(counts):.0f} to {max(counts):.0f} markers, "
-            f"median {median(counts):.0f}; all {each} in {seconds:.1f} s of processor and "
+            f"median {np.median(counts):.0f}; all {each} in {seconds:.1f} s of processor and "
             f"{wall:.1f} s of wall time; rules {1e3 * _mean(able, 'rules'):.0f} ms, sampled "
             f"{1e3 * _mean(able, 'sampled'):.0f} ms"
         )
@@ -83,7 +83,7 @@ def _costs(table: Table, shape: str, found: list[Outcome], judged: list[Outcome]
         ]  # fmt: skip
         row = f"{shape}: {rung}, each"
         source = f"median of {len(seconds)} designs, processor time, one thread, draft"
-        table.add(row, median(seconds), "s", "", source)
+        table.add(row, float(np.median(seconds)), "s", "", source)
 
 
 def _orders(table: Table, shape: str, found: list[Outcome], judged: list[Outcome]) -> None:

@@ -63,12 +63,12 @@ class Cost:
     @property
     def cpu_s(self) -> float:
         """Processor time of all stages."""
-        return sum(item["cpu_s"] for item in self.stages.values())
+        return sum(float(item["cpu_s"]) for item in self.stages.values())
 
     @property
     def peak_MB(self) -> float:
         """Greatest memory of a stage, libraries included."""
-        return max(item["peak_MB"] for item in self.stages.values())
+        return max(float(item["peak_MB"]) for item in self.stages.values())
 
     @property
     def folders(self) -> dict[str, Path]:

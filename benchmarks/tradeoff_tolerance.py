@@ -11,7 +11,6 @@ from benchmarks.tradeoff_designs import random_designs
 from benchmarks.tradeoff_journal import once
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
-from phytac_design.layout import make_markers
 from phytac_design.study.tradeoff.choose import choose_tolerance
 from phytac_design.study.tradeoff.force import ForceError, rms
 from phytac_shapes.errors import DesignError, PhytacError
@@ -33,7 +32,7 @@ def _judged(design: Design) -> dict[str, Any]:
     error = ForceError(design)
     out: dict[str, Any] = {
         "name": design.name,
-        "markers": make_markers(design, error.surface).count,
+        "markers": error.sensor.markers.count,
         "choices": {},
     }
     for tolerance in TOLERANCES:

@@ -31,26 +31,34 @@ GROUPS = (
 """Stages that run together; their settings are fixed before each group."""
 
 
-def _levels() -> tuple[Accuracy, ...]:
-    draft, standard, fine = (PRESETS[name] for name in ("draft", "standard", "fine"))
-    coarse = replace(draft, refine=4, place_orders=3, cad_tolerance_mm=0.02, frames=10)
-    few = {"place_share": 1.2, "press_places": 4, "sample_share": 0.1, "frames": 2}
-    looser = {"place_share": 0.55, "press_places": 20, "truth_refine": 7, "frames": 30}
-    finer = {"place_share": 0.55, "press_places": 60, "truth_refine": 11, "frames": 75}
-    return (
-        replace(draft, refine=2, cad_tolerance_mm=0.1, **few),
-        draft,
-        replace(draft, place_orders=3),
-        coarse,
-        replace(coarse, press_places=20, truth_refine=7, frames=20),
-        replace(standard, **looser),
-        standard,
-        replace(standard, refine=5, **finer),
-        fine,
-    )
-
-
-LEVELS = _levels()
+DRAFT, STANDARD, FINE = (PRESETS[name] for name in ("draft", "standard", "fine"))
+LEVELS: tuple[Accuracy, ...] = (
+    replace(
+        DRAFT,
+        refine=2,
+        place_share=1.2,
+        press_places=4,
+        cad_tolerance_mm=0.1,
+        sample_share=0.1,
+        frames=2,
+    ),
+    DRAFT,
+    replace(DRAFT, place_orders=3),
+    replace(DRAFT, refine=4, place_orders=3, cad_tolerance_mm=0.02, frames=10),
+    replace(
+        DRAFT,
+        refine=4,
+        place_orders=3,
+        cad_tolerance_mm=0.02,
+        press_places=20,
+        truth_refine=7,
+        frames=20,
+    ),
+    replace(STANDARD, place_share=0.55, press_places=20, truth_refine=7, frames=30),
+    STANDARD,
+    replace(STANDARD, refine=5, place_share=0.55, press_places=60, truth_refine=11, frames=75),
+    FINE,
+)
 """Settings from the cheapest to the finest."""
 
 

@@ -19,9 +19,12 @@ def use(design: Design, name: str, value: Any) -> dict[str, Any]:
     """Seconds and error of a choice; see :data:`settings.SETTINGS` for names and values."""
     choices: dict[str, Callable[[Design, Any], dict[str, Any]]] = {
         "image_size": _image_size,
+        "visibility": _visibility,
+        "facets": _facets,
         "displacement": _displacement,
         "route": _route,
         "estimator": _estimator,
+        "precision": _precision,
     }
     return choices[name](design, value)
 
@@ -33,21 +36,42 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, dict[str, Any]]:
     return found, spent
 
 
-def _centroids(design: Design) -> FloatArray:
-    """Centroid (n, 2) px of every marker at rest, by the first camera."""
-    from phytac_design.layout.cameras import tolerance_mm
-    from phytac_design.optics.raster import rasterise
-    from phytac_design.optics.render_scene import build_scene, paint_owner
+def _view(design: Design, facets: float = 1.0) -> tuple[FloatArray, FloatArray]:
+    """Visible fraction (n,) and centroid (n, 2) px of every marker at rest, by the first camera."""
+    from phytac_design.optics.raster import pixels_alone, rasterise
+    from phytac_design.optics.render_scene import paint_owner
     from phytac_design.simulation.imaging.nominal_view import owner_centroids
+
+    scene, camera = _scene(design, facets)
+    owner = paint_owner(rasterise(scene, camera).part)
+    seen = np.bincount(owner[owner >= 0], minlength=scene.count)
+    alone = pixels_alone(scene, camera)
+    fraction = np.divide(seen, alone, out=np.zeros(scene.count), where=alone > 0)
+    return fraction, owner_centroids(owner, scene.count)
+
+
+def _scene(design: Design, facets: float = 1.0) -> tuple[Any, Any]:
+    """Scene at rest, its facets in multiples of the usual ones, and the first camera."""
+    from phytac_design.layout.cameras import tolerance_mm
+    from phytac_design.optics.render_scene import build_scene
 
     sensor = Sensor(design)
     camera = sensor.cameras[0]
-    scene = build_scene(sensor, tolerance_mm=tolerance_mm(camera, sensor.markers))
-    return owner_centroids(paint_owner(rasterise(scene, camera).part), sensor.markers.count)
+    tolerance = facets * tolerance_mm(camera, sensor.markers)
+    return build_scene(sensor, tolerance_mm=tolerance), camera
+
+
+def _centroids(
+    design: Design, finest_px: FloatArray, *, pixels: float = 1.0, facets: float = 1.0
+) -> dict[str, Any]:
+    """Centroid errors of a view, in pixels of the finest; ``pixels`` is its relative image size."""
+    _view(design, facets)  # compiles
+    (_, found), spent = _timed(lambda: _view(design, facets))
+    gap = (found + 0.5) / pixels - 0.5 - finest_px
+    return spent | {"error": rms(np.linalg.norm(gap[np.isfinite(gap).all(axis=1)], axis=1))}
 
 
 def _image_size(design: Design, value: float) -> dict[str, Any]:
-    """Centroid errors of a smaller image, in pixels of the design's own."""
     camera = design.camera
     update = {
         "width_px": round(camera.width_px * value),
@@ -55,10 +79,25 @@ def _image_size(design: Design, value: float) -> dict[str, Any]:
         "focal_px": camera.focal_px * value,
     }
     smaller = design.model_copy(update={"camera": camera.model_copy(update=update)})
-    finest = _centroids(design)  # compiles
-    found, spent = _timed(lambda: _centroids(smaller))
-    gap = (found + 0.5) / value - 0.5 - finest
-    return spent | {"error": rms(np.linalg.norm(gap[np.isfinite(gap).all(axis=1)], axis=1))}
+    return _centroids(smaller, _view(design)[1], pixels=value)
+
+
+def _visibility(design: Design, value: str) -> dict[str, Any]:
+    from phytac_design.optics.sampled_visibility import sampled_fraction
+
+    def look() -> FloatArray:
+        if value == "sampled":
+            return sampled_fraction(*_scene(design)).fraction
+        return _view(design)[0]
+
+    finest = _view(design)[0]
+    look()  # compiles
+    found, spent = _timed(look)
+    return spent | {"error": rms(found - finest)}
+
+
+def _facets(design: Design, value: float) -> dict[str, Any]:
+    return _centroids(design, _view(design, 0.25)[1], facets=value)
 
 
 def _displacement(design: Design, value: Literal["linear", "auto", "large"]) -> dict[str, Any]:
@@ -142,3 +181,15 @@ def _estimator(design: Design, value: str) -> dict[str, Any]:
     score = context.facts("decoder")["test"][value]
     seconds = float(score["milliseconds_per_frame"]) / 1e3
     return {"seconds": seconds, "cpu_s": seconds, "error": float(score["relative_error"])}
+
+
+def _precision(design: Design, value: str, loops: int = 200) -> dict[str, Any]:
+    """Force fits with tables of single or double precision."""
+    error = ForceError(design)
+    force = error.contacts.force_N
+    rows = error.rows(4, receptors=True, orders=3)
+    shift = np.einsum("ckn,ck->cn", rows, force[:, None] ** np.arange(1, 4))
+    kept, seen = rows.astype(value), shift.astype(value)
+    found, spent = _timed(lambda: [fit_forces(kept, seen) for _ in range(loops)][-1])
+    reading = spent["seconds"] / (loops * len(rows))
+    return spent | {"error": rms(found / force - 1.0), "seconds_per_reading": reading}

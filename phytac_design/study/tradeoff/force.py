@@ -261,7 +261,8 @@ def standard_contacts(design: Design, surface: Surface, count: int = 16) -> Cont
     away = np.full(len(uv), np.inf)
     for axis, end in surface.edges():
         edge = np.full((129, 2), surface.domain[axis, end])
-        edge[:, 1 - axis] = np.linspace(*surface.domain[1 - axis], len(edge))
+        low, high = surface.domain[1 - axis]
+        edge[:, 1 - axis] = np.linspace(low, high, len(edge))
         gap = np.linalg.norm(surface.point(uv)[:, None] - surface.point(edge)[None], axis=2)
         away = np.minimum(away, gap.min(axis=1))
     kept = np.flatnonzero(away >= 2.0 * radius)[:count]

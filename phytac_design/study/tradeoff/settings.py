@@ -64,6 +64,22 @@ SETTINGS: tuple[Setting, ...] = (
         "image_size", (0.25, 0.5, 0.75, 1.0), "visibility", "pixels each way", "px", of_build=False
     ),
     Setting(
+        "visibility",
+        ("sampled", "exact"),
+        "visibility",
+        "rays or every pixel",
+        "fraction",
+        of_build=False,
+    ),
+    Setting(
+        "facets",
+        (16.0, 4.0, 2.0, 1.0, 0.25),
+        "visibility",
+        "tessellation of the camera scene, in multiples of a quarter of a pixel's footprint",
+        "px",
+        of_build=False,
+    ),
+    Setting(
         "displacement",
         ("linear", "auto", "large"),
         "force",
@@ -79,6 +95,9 @@ SETTINGS: tuple[Setting, ...] = (
         of_build=False,
     ),
     Setting("estimator", ("koi_inverse", "fem", "auto"), "force", "of the decoder", of_build=False),
+    Setting(
+        "precision", ("float32", "float64"), "force", "of the decoder's tables", of_build=False
+    ),
 )
 """All settings and choices; errors are against the last value or the quantity's own limit."""
 
