@@ -4,6 +4,7 @@ Parts ``scenes`` and ``units`` of ``python -m benchmarks.tradeoff``; the latter 
 costs of plans and writes them into ``phytac_design/study/planning/unit_costs.py``.
 """
 
+import json
 import shutil
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -41,6 +42,34 @@ SHAPES = ("cylinder60", "grip")
 SCENES = ("fingertip", "grip5", "occlusion", "fabrication")
 PREDICTED_WITHIN = 2.0
 """Factor between predicted and actual cost; see docs/plan.md."""
+SAME: dict[str, tuple[tuple[str, str, tuple[str, ...], str, str], ...]] = {
+    "occlusion": (
+        (
+            "markers hidden or fused at rest, against the whole build's",
+            "views",
+            ("occluded", "fused"),
+            "markers",
+            "== 0",
+        ),
+        (
+            "least gap of a colour under load, difference from the whole build's",
+            "underload",
+            ("least_gap_same_colour_px",),
+            "px",
+            "<= 0.5",
+        ),
+    ),
+    "fabrication": (
+        (
+            "volume of the shell, difference from the whole build's",
+            "shell",
+            ("volume_mm3",),
+            "relative",
+            "== 0",
+        ),
+    ),
+}
+"""Figures of scenes that must be those of the whole build: row, stage, facts, unit and target."""
 FITTED = (
     ("cylinder60", "standard", ""),
     ("cylinder60", "draft", ""),
@@ -160,12 +189,24 @@ def add_rows(table: Table, *, quick: bool) -> None:
                 source = f"predicted; actual {actual:.1f}"
                 target = f"<= {PREDICTED_WITHIN}"
                 table.add(row, value, "ratio", round(predicted, 1), source, target)
+            for what, stage, figures, unit, target in SAME.get(name, ()):
+                mine, full = (
+                    _figure(folders[stage], figures) for folders in (cost.folders, whole.folders)
+                )
+                value = abs(mine / full - 1.0) if unit == "relative" else abs(mine - full)
+                table.add(f"{label}: {what}", value, unit, full, "the whole build", target)
             if "decoder" in cost.folders:
                 context = plan.resolved.context()
                 context.folders.update(cost.folders)
                 allowed, predicted = plan.resolved.scene.error_allowed, plan.error["force"]
                 presses = 4 if quick else 16
                 _add_forces(table, label, context, whole, presses, allowed, predicted)
+
+
+def _figure(folder: Path, names: Sequence[str]) -> float:
+    """Sum of some facts of a stage."""
+    facts = json.loads((folder / "facts.json").read_text())
+    return float(sum({**facts, **facts.get("visibility", {})}[name] for name in names))
 
 
 def _add_forces(

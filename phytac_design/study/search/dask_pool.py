@@ -75,11 +75,11 @@ class DaskPool(SerialPool):
     def __init__(
         self, *, workers: int = 0, address: str = "", say: Callable[[str], None] = lambda _: None
     ) -> None:
-        self.dask, self.library = _libraries()
+        dask, self.library = _libraries()
         self.cluster: Any = None
         self.address = address
         try:
-            with self.dask.config.set({"distributed.admin.tick.interval": "500ms"}):
+            with dask.config.set({"distributed.admin.tick.interval": "500ms"}):
                 if not address:
                     self.cluster = self._start(workers)
                     self.address = self.cluster.scheduler_address
