@@ -112,13 +112,13 @@ def _decode_frame(
     reading = read(bundle, measured, chosen)
     koi, forces = reading.koi, reading.forces_N
     contacts = reading.found.contacts if reading.found else []
-    pressed = marker_loads(reading, koi, bundle.position_mm)
-    total_N = float(pressed.force_N.sum())
+    markers, force_N = marker_loads(reading, koi, bundle.position_mm)
+    total_N = float(force_N.sum())
     sums = RegionForces(regions=regions, markers=len(forces))
     region_N = dict(
         zip(
             [region.name for region in regions],
-            sums.of(pressed.markers, pressed.force_N),
+            sums.of(markers, force_N),
             strict=True,
         )
     )

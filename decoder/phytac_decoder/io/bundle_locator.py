@@ -208,7 +208,8 @@ def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) 
             f"{sizes['orders']} orders; the two files are of different builds",
         )
     for name, high in ((WALL + "most", 1.0), (RATIO, np.inf)):
-        wrong = own[name][~((own[name] > 0.0) & (own[name] < high))] if name in own else ()
+        values = np.asarray(own.get(name, 0.5))
+        wrong = values[~((values > 0.0) & (values < high))]
         if len(wrong):
             kind = "a number between 0 and 1" if high == 1.0 else "numbers above zero"
             raise InputError(

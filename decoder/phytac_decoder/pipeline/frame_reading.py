@@ -52,27 +52,18 @@ class Reading:
         return [contact for contact in contacts if not len(contact.markers)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class MarkerLoads:
-    """Forces ``force_N`` (k,) on ``markers`` (k,), in which a marker may occur more than once."""
+def marker_loads(
+    reading: Reading, koi: IntArray, position_mm: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Markers (k,) and the forces (k,) N on them; a marker may occur more than once.
 
-    markers: IntArray
-    force_N: FloatArray
-
-
-def marker_loads(reading: Reading, koi: IntArray, position_mm: FloatArray) -> MarkerLoads:
-    """Forces on key nodes ``koi`` (m,), and of unswitched contacts on the markers nearest to them.
-
-    ``position_mm`` (n, 3) are the markers on the outer face.
+    They are key nodes ``koi`` (m,), and for unswitched contacts the markers nearest to them, of
+    those at ``position_mm`` (n, 3) on the outer face.
     """
     unswitched = reading.unswitched
     beside = [nearest_marker(contact.point_mm, position_mm) for contact in unswitched]
-    return MarkerLoads(
-        markers=np.concatenate([koi, np.array(beside, dtype=np.int64)]),
-        force_N=np.concatenate(
-            [reading.forces_N[koi], [contact.force_N for contact in unswitched]]
-        ),
-    )
+    markers = np.concatenate([koi, np.array(beside, dtype=np.int64)])
+    return markers, np.append(reading.forces_N[koi], [contact.force_N for contact in unswitched])
 
 
 def nearest_marker(point_mm: FloatArray, position_mm: FloatArray) -> int:

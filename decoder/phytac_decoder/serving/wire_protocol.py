@@ -159,7 +159,7 @@ class MessageBuilder:
         if reading.found is not None:
             sound = [one for one in reading.found.contacts if _is_sound(one)]
             reading = replace(reading, found=replace(reading.found, contacts=sound))
-        pressed = marker_loads(reading, koi, self.bundle.position_mm)
+        markers, force_N = marker_loads(reading, koi, self.bundle.position_mm)
         out: Message = {
             "type": "frame",
             "sequence": sequence,
@@ -167,7 +167,7 @@ class MessageBuilder:
             "decoded_s": _rounded(decoded_s, 6),
             "latency_ms": _rounded(latency_ms, 3),
             "valid": reading.valid and not len(broken),
-            "total_N": _rounded(pressed.force_N.sum(), 4),
+            "total_N": _rounded(force_N.sum(), 4),
             "contacts": self._contacts(reading, koi, timestamp_s),
             "koi": koi.tolist(),
             "forces_N": np.round(forces[koi], 4).tolist(),
@@ -178,10 +178,10 @@ class MessageBuilder:
             out["code"] = reading.code
         if self.outward is not None:
             # Pressing acts along the inward normal.
-            net = -(pressed.force_N @ self.outward[pressed.markers])
+            net = -(force_N @ self.outward[markers])
             out["net_force_N"] = [_rounded(part, 4) for part in net]
         if self.regions:
-            sums = self.region_forces.of(pressed.markers, pressed.force_N)
+            sums = self.region_forces.of(markers, force_N)
             out["regions"] = [
                 {"name": region.name, "force_N": _rounded(force, 4)}
                 for region, force in zip(self.regions, sums, strict=True)
