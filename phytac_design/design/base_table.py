@@ -1,9 +1,10 @@
 """What every table of a design file has in common."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
 
 
 def assumed(default: Any, **limits: Any) -> Any:
@@ -11,16 +12,21 @@ def assumed(default: Any, **limits: Any) -> Any:
     return Field(default, json_schema_extra={"assumption": True}, **limits)
 
 
-def refuse_stale(
-    data: Mapping[str, Any], presets: Mapping[str, Mapping[str, Any]], field: str, chosen: str
-) -> None:
-    """Refuse a preset whose numbers are all written out as another preset's: it would do nothing.
+def with_preset(
+    data: Any, presets: Mapping[str, Mapping[str, Any]], field: str, default: str
+) -> Any:
+    """Table with the numbers of its preset in the place of fields that are not given.
+
+    A preset whose numbers are all written out as another preset's would do nothing.
 
     Raises
     ------
     ValueError
-        With the fields to leave out.
+        For such a preset, with the fields to leave out.
     """
+    if not isinstance(data, dict):
+        return data
+    chosen = str(data.get(field, default))
     own = presets.get(chosen, {})
     for name, other in presets.items():
         differ = [key for key in other if key in own and _plain(other[key]) != _plain(own[key])]
@@ -30,6 +36,30 @@ def refuse_stale(
                 f"{field} = {chosen!r}, but {', '.join(stale)} are written out as those of "
                 f"{name!r}; delete these lines, or give {chosen!r} numbers of your own"
             )
+    return {**own, **data}
+
+
+def with_file(
+    data: Any,
+    info: ValidationInfo,
+    field: str,
+    content: str,
+    read: Callable[[Path], Mapping[str, Any]],
+) -> Any:
+    """Table with what the file named in a field holds in its place: the design holds all it needs.
+
+    Raises
+    ------
+    ValueError
+        If the table has a ``content`` of its own.
+    """
+    named = data.get(field) if isinstance(data, dict) else None
+    if not isinstance(named, str) or not named:
+        return data
+    if data.get(content):
+        raise ValueError(f"{content} and {field} exclude each other; keep one of them")
+    folder = (info.context or {}).get("folder", ".")
+    return {**data, field: "", **read(Path(folder) / named)}
 
 
 def _plain(value: Any) -> Any:

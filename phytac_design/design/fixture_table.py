@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from phytac_design.design.base_table import Section
+from phytac_design.design.base_table import Section, with_file
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.bounded_reader import read_bytes
 from phytac_shapes.errors import DesignError
@@ -77,16 +77,7 @@ class MeshFixture(Fixture):
     @model_validator(mode="before")
     @classmethod
     def _read_file(cls, data: Any, info: ValidationInfo) -> Any:
-        """Put the triangles of ``file`` in its place: the design holds all it needs."""
-        if not (isinstance(data, dict) and isinstance(data.get("file", ""), str)):
-            return data
-        named = data.get("file", "")
-        if not named:
-            return data
-        if data.get("triangles"):
-            raise ValueError("file and triangles exclude each other; keep one of them")
-        folder = (info.context or {}).get("folder", ".")
-        return {**data, "file": "", **read_stl(Path(folder) / named)}
+        return with_file(data, info, "file", "triangles", read_stl)
 
     @model_validator(mode="after")
     def _has_corners(self) -> Self:

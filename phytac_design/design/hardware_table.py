@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from phytac_design.design.base_table import Section, assumed, refuse_stale
+from phytac_design.design.base_table import Section, assumed, with_preset
 
 Coordinate = Annotated[float, Field(ge=-500.0, le=500.0)]
 Size = Annotated[float, Field(gt=0.0, le=500.0)]
@@ -97,10 +97,7 @@ class HardwareSection(Section):
     @classmethod
     def _known_board(cls, data: Any) -> Any:
         """Put a preset's numbers in the place of fields that are not given."""
-        if not isinstance(data, dict):
-            return data
-        refuse_stale(data, BOARDS, "board", str(data.get("board", "38x38")))
-        return {**BOARDS.get(str(data.get("board", "38x38")), {}), **data}
+        return with_preset(data, BOARDS, "board", "38x38")
 
     @model_validator(mode="after")
     def _holes_on_board(self) -> Self:

@@ -1,11 +1,10 @@
 """The tables ``[layout]`` and ``[receptor]`` of a design file."""
 
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
-from phytac_design.design.base_table import Section, assumed
+from phytac_design.design.base_table import Section, assumed, with_file
 from phytac_design.design.positions import read_positions
 
 ColourName = Literal["blue", "green", "yellow", "magenta", "cyan"]
@@ -61,16 +60,7 @@ class LayoutSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _read_positions(cls, data: Any, info: ValidationInfo) -> Any:
-        """Put the positions of ``positions_csv`` in its place: the design holds all it needs."""
-        if not (isinstance(data, dict) and isinstance(data.get("positions_csv", ""), str)):
-            return data
-        named = data.get("positions_csv", "")
-        if not named:
-            return data
-        if data.get("positions"):
-            raise ValueError("positions and positions_csv exclude each other; keep one of them")
-        folder = (info.context or {}).get("folder", ".")
-        return {**data, "positions_csv": "", **read_positions(Path(folder) / named)}
+        return with_file(data, info, "positions_csv", "positions", read_positions)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

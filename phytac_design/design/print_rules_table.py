@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 from pydantic import model_validator
 
-from phytac_design.design.base_table import Section, assumed, refuse_stale
+from phytac_design.design.base_table import Section, assumed, with_preset
 
 PROCESSES: dict[str, dict[str, Any]] = {
     "sla": {
@@ -102,10 +102,7 @@ class PrintSection(Section):
     @classmethod
     def _known_process(cls, data: Any) -> Any:
         """Put the process's numbers in the place of fields that are not given."""
-        if not isinstance(data, dict):
-            return data
-        refuse_stale(data, PROCESSES, "process", str(data.get("process", "sla")))
-        return {**PROCESSES.get(str(data.get("process", "sla")), {}), **data}
+        return with_preset(data, PROCESSES, "process", "sla")
 
     @model_validator(mode="after")
     def _sound(self) -> Self:

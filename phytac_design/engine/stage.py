@@ -189,6 +189,11 @@ def export_path(folder: Path, name: str) -> Path:
     return path
 
 
+def write_text(folder: Path, name: str, text: str) -> None:
+    """Write a text that is exported."""
+    export_path(folder, name).write_text(text, encoding="utf-8")
+
+
 def write_facts(folder: Path, facts: dict[str, Any]) -> None:
     """Write a stage's figures."""
     (folder / "facts.json").write_text(json.dumps(facts, indent=1, sort_keys=True))

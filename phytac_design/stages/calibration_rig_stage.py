@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.calibration_rig.guide import guide_text
 from phytac_design.fabrication.calibration_rig.log_template import log_head
 from phytac_design.fabrication.calibration_rig.program import gcode, make_program, program_csv
@@ -32,15 +32,12 @@ def run(context: Context, folder: Path) -> None:
     for piece in kit.pieces:
         write_stl(stl_triangles(piece.body), export_path(folder, f"kit/{piece.name}.stl"))
 
-    def write(name: str, text: str) -> None:
-        export_path(folder, f"kit/{name}").write_text(text, encoding="utf-8")
-
     program = make_program(sensor, regions, bowl_mm=bowl)
-    write("program.csv", program_csv(program, markers))
-    write("shell.gcode", gcode(program, "shell", name=design.name))
-    write("decoder.gcode", gcode(program, "decoder", name=design.name))
-    write("calibration_log.csv", log_head(design.name))
-    write("README.md", guide_text(design, markers, regions, program, kit))
+    write_text(folder, "kit/program.csv", program_csv(program, markers))
+    write_text(folder, "kit/shell.gcode", gcode(program, "shell", name=design.name))
+    write_text(folder, "kit/decoder.gcode", gcode(program, "decoder", name=design.name))
+    write_text(folder, "kit/calibration_log.csv", log_head(design.name))
+    write_text(folder, "kit/README.md", guide_text(design, markers, regions, program, kit))
     facts: dict[str, Any] = {
         "parts": kit_parts(design, kit),
         "regions": len(regions.marker),

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.core.figures import pdf, svg
-from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.documents import bill_of_materials as bill
 from phytac_design.fabrication.documents.assembly_page import assembly_html
 from phytac_design.fabrication.documents.exploded import Body, part_colour, picture, switch_bodies
@@ -27,16 +27,14 @@ def run(context: Context, folder: Path) -> None:
     design, markers = context.design, context.markers
     switches = switches_of(context)
 
-    def write(name: str, text: str) -> None:
-        export_path(folder, f"bench/{name}").write_text(text, encoding="utf-8")
-
     drawn = make_map(context.sensor, switches)
-    write("paint_map.svg", svg(whole_page(drawn)))
-    write("paint_map_inside.svg", svg(whole_page(drawn, inside=True)))
+    write_text(folder, "bench/paint_map.svg", svg(whole_page(drawn)))
+    write_text(folder, "bench/paint_map_inside.svg", svg(whole_page(drawn, inside=True)))
     pages = paper_pages(drawn)
     data = pdf(pages, title=f"{design.name}: paint map")
     export_path(folder, "bench/paint_map.pdf").write_bytes(data)
-    write("switch_placement.csv", placement_csv(context.surface, markers, switches, drawn))
+    placement = placement_csv(context.surface, markers, switches, drawn)
+    write_text(folder, "bench/switch_placement.csv", placement)
 
     lists, hardware = parts_of(context), context.facts("hardware")
     shell_volume = float(context.facts("shell")["volume_mm3"])
@@ -48,9 +46,9 @@ def run(context: Context, folder: Path) -> None:
             *(part for parts in lists.values() for part in parts),
         ]
     )
-    write("bill_of_materials.csv", bill.bill_csv(rows))
+    write_text(folder, "bench/bill_of_materials.csv", bill.bill_csv(rows))
     recipe = make_recipe(design, rubber_mm3(rows), _volume_mm3(rows, "silicone"))
-    write("casting.md", recipe_text(design, recipe))
+    write_text(folder, "bench/casting.md", recipe_text(design, recipe))
     context.progress("bench: assembly sheet")
     sheet = assembly_html(
         design,
@@ -62,7 +60,7 @@ def run(context: Context, folder: Path) -> None:
         pictures=pictures(context),
         section=section_svg(design, markers, switches),
     )
-    write("assembly.html", sheet)
+    write_text(folder, "bench/assembly.html", sheet)
     masses = {name: bill.total_mass_g(rows, name) for name in ("resin", "tpu", "silicone")}
     write_facts(
         folder,

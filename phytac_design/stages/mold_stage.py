@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.bill import bill_part, csv_text
 from phytac_design.fabrication.molds.audit import (
     audit_facts,
@@ -43,7 +43,7 @@ def run(context: Context, folder: Path) -> None:
             files[f"mold/{name}_{each.plan.number}.stl"] = stl_bytes(each.printed(name))
     for file, data in files.items():
         export_path(folder, file).write_bytes(data)
-    export_path(folder, "mold/cavities.csv").write_text(_table(made, switches), encoding="utf-8")
+    write_text(folder, "mold/cavities.csv", _table(made, switches))
     total = {key: sum(each[key] for each in poured) for key in poured[0]}
     plates = [plate for each in sets for plate in each["plates"].values()]
     write_facts(

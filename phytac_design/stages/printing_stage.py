@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.printing.overhang import suggest
 from phytac_design.fabrication.printing.parting import part_shell
 from phytac_design.fabrication.printing.print_checks import check_body, check_shell
@@ -26,7 +26,7 @@ def run(context: Context, folder: Path) -> None:
     mesh = read_stl(context.folders["shell"] / EXPORT / shell_file)
     report = check_shell(context.sensor, mesh, tolerance_mm=tolerance)
     picture = draw_report(RayTree(mesh), report, rules, f"{design.name}: the shell, as printed")
-    export_path(folder, "shell/print_report.svg").write_text(picture, encoding="utf-8")
+    write_text(folder, "shell/print_report.svg", picture)
     parts = {shell_file: report.as_dict()}
     others = printed_files(context)
     unchecked = [] if context.accuracy.print_tools else sorted(others)
@@ -53,7 +53,7 @@ def run(context: Context, folder: Path) -> None:
         except DesignError as error:
             facts["not_parted"] = str(error)
     text = json.dumps(facts, indent=1, ensure_ascii=False)
-    export_path(folder, "shell/print_report.json").write_text(text + "\n", encoding="utf-8")
+    write_text(folder, "shell/print_report.json", text + "\n")
     write_facts(folder, facts)
 
 

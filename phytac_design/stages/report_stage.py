@@ -11,7 +11,7 @@ from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import assumptions
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
-from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
 from phytac_design.optics.separability import check_paints
 from phytac_design.report.explorer import DATA_ID, explorer_data
 from phytac_design.report.fabrication_section import fabrication_facts
@@ -98,9 +98,11 @@ def forced_past(context: Context) -> list[str]:
 def run(context: Context, folder: Path) -> None:
     """Write ``report/report.{json,html}``, ``report/viewer.json`` and ``report/images/…``."""
     report = gather(context)
-    _write(folder, "report/report.json", json.dumps(finite(report), indent=1, ensure_ascii=False))
+    text = json.dumps(finite(report), indent=1, ensure_ascii=False)
+    write_text(folder, "report/report.json", text + "\n")
     data = explorer_data(context, best_of(report))
-    _write(folder, "report/viewer.json", json.dumps(data, ensure_ascii=False, allow_nan=False))
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False)
+    write_text(folder, "report/viewer.json", text + "\n")
     html = page(
         f"{report['design']}: camera-based force sensor",
         sections_of(context, report),
@@ -108,14 +110,10 @@ def run(context: Context, folder: Path) -> None:
         style=style(),
         tail=data_tag(DATA_ID, data) + script_tags(),
     )
-    _write(folder, "report/report.html", html)
+    write_text(folder, "report/report.html", html)
     for name, image in images_of(html).items():
         export_path(folder, f"report/images/{name}").write_bytes(image)
     write_facts(folder, {"page_bytes": len(html.encode())})
-
-
-def _write(folder: Path, name: str, text: str) -> None:
-    export_path(folder, name).write_text(text.rstrip("\n") + "\n", encoding="utf-8")
 
 
 REPORT = Stage(

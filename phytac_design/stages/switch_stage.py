@@ -8,7 +8,7 @@ import numpy as np
 
 from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px
 from phytac_design.core.json_values import finite
-from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches, revolved_volume_mm3
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.design import design_switch
@@ -45,7 +45,7 @@ def run(context: Context, folder: Path) -> None:
     ]
     facts = {"refused": "", "switches": made, "red": red_of(context), "parts": parts}
     text = json.dumps(finite(facts), indent=1, ensure_ascii=False)
-    export_path(folder, "switch/switches.json").write_text(text + "\n", encoding="utf-8")
+    write_text(folder, "switch/switches.json", text + "\n")
     write_facts(folder, facts)
 
 
@@ -67,7 +67,7 @@ def design_switches(context: Context, folder: Path) -> list[dict[str, Any]]:
     for made in found:
         name = f"switch/switch_{made.threshold_N:g}N"
         text = json.dumps(switch_dict(made), indent=1, ensure_ascii=False)
-        export_path(folder, f"{name}.json").write_text(text + "\n", encoding="utf-8")
+        write_text(folder, f"{name}.json", text + "\n")
         write_svg(export_path(folder, f"{name}.svg"), curve_plot(made))
     return [
         {key: value for key, value in switch_dict(made).items() if key != "curve"} for made in found

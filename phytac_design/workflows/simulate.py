@@ -9,6 +9,7 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -175,11 +176,7 @@ class SampleWorker:
             "theory": moved.theory,
             "frames": {},
         }
-        count = job.markers.count
-        arrays = {
-            "shift_px": np.full((count, 2), np.nan),
-            "bits_read": np.zeros(count, dtype=np.bool_),
-        }
+        arrays = nothing_seen(job)
         if moved.motion is not None:
             bits, light = plan.switching.bits[index], float(plan.light[index])
             if job.scenario.solve.route == "frames":
@@ -197,10 +194,8 @@ class SampleWorker:
                 if seen.found.mean() < FOUND_WELL and facts["status"] == "ok":
                     facts["status"] = "flagged"
                     facts["reasons"].append("less than 95 % of the markers were found")
-        try:
+        with writing(self.frames.parent):
             self.journal.put(str(index), facts, arrays)
-        except OSError as error:
-            raise _full(self.frames.parent, error) from None
         return facts
 
     def write_frames(self, index: int, frames: tuple[ImageArray, ...]) -> dict[str, str]:
@@ -209,21 +204,33 @@ class SampleWorker:
         for frame, mark in zip(frames, CAMERA_SUFFIXES, strict=False):
             name = f"{index:06d}{mark}.png"
             data = encode_png(frame)
-            try:
+            with writing(self.frames.parent):
                 self.frames.mkdir(exist_ok=True)
                 write_atomically(self.frames / name, data)
-            except OSError as error:
-                raise _full(self.frames.parent, error) from None
             out[name] = sha256(data).hexdigest()
         return out
 
 
-def _full(out: Path, error: OSError) -> OutputError:
-    return OutputError(
-        "output-not-writable",
-        f"cannot write {out}: {error.strerror}; make room, then run the same command again: what "
-        "is done stays",
-    )
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """Report an error of the disk with what to do about it."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            "output-not-writable",
+            f"cannot write {out}: {error.strerror}; make room, then run the same command again: "
+            "what is done stays",
+        ) from None
+
+
+def nothing_seen(job: Job) -> dict[str, Any]:
+    """Arrays of a sample of which nothing could be seen."""
+    count = job.markers.count
+    return {
+        "shift_px": np.full((count, 2), np.nan),
+        "bits_read": np.zeros(count, dtype=np.bool_),
+    }
 
 
 def work(worker: SampleWorker, index: int) -> dict[str, Any]:
@@ -353,18 +360,14 @@ def done_before(journal: Journal, frames: Path, total: int) -> Iterator[tuple[in
 
 def store_lost(job: Job, journal: Journal, index: int) -> dict[str, Any]:
     """Store a sample whose process died twice."""
-    count = job.markers.count
     facts = {
         "status": "failed",
         "reasons": ["its process died (memory?)"],
         "theory": "large",
         "frames": {},
     }
-    empty = {"shift_px": np.full((count, 2), np.nan), "bits_read": np.zeros(count, dtype=np.bool_)}
-    try:
-        journal.put(str(index), facts, empty)
-    except OSError as error:
-        raise _full(journal.folder.parent, error) from None
+    with writing(journal.folder.parent):
+        journal.put(str(index), facts, nothing_seen(job))
     return facts
 
 
