@@ -311,7 +311,7 @@ def test_a_shell_that_the_cad_kernel_cannot_fuse_is_printed_all_the_same(
         )
 
     monkeypatch.setattr("phytac_design.stages.shell_stage.shell_cad", broken)
-    monkeypatch.setattr("phytac_design.fabrication.hardware.step.shell_cad", broken)
+    monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.shell_cad", broken)
     whole = replace(PRESETS["draft"], cad_tolerance_mm=0.02)
     only = ["step", "hardware"]
     said: list[str] = []

@@ -11,22 +11,10 @@ import numpy as np
 
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.cad_kernel import cadquery
-from phytac_design.solids.cad_wall import WALLS, wall_cad
+from phytac_design.solids.cad_wall import wall_cad
 from phytac_design.solids.receptor_tubes import receptor_axes
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import CadKernelError, NumericalError, OutputError
-
-__all__ = [
-    "WALLS",
-    "CadBody",
-    "CadFacts",
-    "cad_facts",
-    "revolved_cad",
-    "shell_cad",
-    "wall_cad",
-    "write_assembly",
-    "write_step",
-]
 
 
 @dataclass(frozen=True, kw_only=True)

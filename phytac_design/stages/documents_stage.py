@@ -7,13 +7,16 @@ from typing import Any
 from phytac_design.core.figures import pdf, svg
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.documents import bill_of_materials as bill
-from phytac_design.fabrication.documents.assembly_page import assembly_html
+from phytac_design.fabrication.documents.assembly_page import assembly_html, fixture_steps
 from phytac_design.fabrication.documents.exploded import Body, part_colour, picture, switch_bodies
-from phytac_design.fabrication.documents.fixture_steps import fixture_steps
-from phytac_design.fabrication.documents.paint_map import make_map, paper_pages, whole_page
+from phytac_design.fabrication.documents.paint_map import (
+    make_map,
+    paper_pages,
+    placement_csv,
+    whole_page,
+)
 from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps, recipe_text
 from phytac_design.fabrication.documents.section_view import section_svg
-from phytac_design.fabrication.documents.switch_placement import placement_csv
 from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS, read_stl
 from phytac_design.stages.printing_stage import OTHERS

@@ -6,11 +6,15 @@ from typing import Any
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.fabrication.hardware.assembly_checks import hardware_facts, verdict
-from phytac_design.fabrication.hardware.by_cad import CadKernel
+from phytac_design.fabrication.hardware.by_cad import (
+    CadKernel,
+    hardware_bodies,
+    sensor_bodies,
+    wall_body,
+)
 from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
 from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
-from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies, wall_body
 from phytac_design.solids.cad import cad_facts, write_assembly, write_step
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.solid_mesh import to_triangles

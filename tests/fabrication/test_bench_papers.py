@@ -11,9 +11,14 @@ import pytest
 
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import EXPORT
-from phytac_design.fabrication.documents.bill_of_materials import bill_csv, bill_rows, shell_parts
-from phytac_design.fabrication.documents.densities import DENSITY_g_cm3, mass_g
-from phytac_design.fabrication.documents.fixture_steps import fixture_steps
+from phytac_design.fabrication.documents.assembly_page import fixture_steps
+from phytac_design.fabrication.documents.bill_of_materials import (
+    DENSITY_g_cm3,
+    bill_csv,
+    bill_rows,
+    mass_g,
+    shell_parts,
+)
 from phytac_design.fabrication.documents.paint_map import INKS
 from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps, recipe_text
 from phytac_design.fabrication.switch_set import revolved_volume_mm3

@@ -9,8 +9,9 @@ import pytest
 from phytac_design.design.spec import WallSection
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.solids.cad import CadFacts, cad_facts, shell_cad, wall_cad, write_step
+from phytac_design.solids.cad import CadFacts, cad_facts, shell_cad, write_step
 from phytac_design.solids.cad_spline import cells_for, spline_edge
+from phytac_design.solids.cad_wall import wall_cad
 from phytac_design.solids.solid_mesh import shell_manifold
 from phytac_design.solids.step_surface import surface_from_step
 from phytac_design.solids.wall_mesh import wall_mesh

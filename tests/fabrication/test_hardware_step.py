@@ -7,7 +7,7 @@ import pytest
 
 from phytac_design.design.spec import WallSection
 from phytac_design.engine.stage import graphics_libraries
-from phytac_design.fabrication.hardware.by_cad import CadKernel
+from phytac_design.fabrication.hardware.by_cad import CadKernel, hardware_bodies, sensor_bodies
 from phytac_design.fabrication.hardware.by_mesh import MeshKernel
 from phytac_design.fabrication.hardware.parts import COLOURS
 from phytac_design.fabrication.hardware.sensor_solids import switch_mesh
@@ -24,7 +24,6 @@ from phytac_design.fabrication.hardware.solid_nodes import (
     Slab,
     Union,
 )
-from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.cad import cad_facts, write_assembly

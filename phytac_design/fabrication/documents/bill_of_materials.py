@@ -5,8 +5,8 @@ from typing import Any, TypeAlias
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.bill import bill_part, csv_text
-from phytac_design.fabrication.documents.densities import mass_g
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3
+from phytac_shapes.errors import DesignError
 
 Part: TypeAlias = Mapping[str, Any]
 COLUMNS = ("part", "file", "count", "material", "volume_mm3", "mass_g", "note")
@@ -101,3 +101,40 @@ def bill_csv(rows: Sequence[Part]) -> str:
         mass = f"{row['mass_g']:.4f}" if row["volume_mm3"] and row["mass_g"] is not None else ""
         shown.append({**row, "volume_mm3": volume, "mass_g": mass})
     return csv_text(COLUMNS, [[row[name] for name in COLUMNS] for row in shown])
+
+
+DENSITY_g_cm3 = {
+    "resin": 1.15,
+    "tpu": 1.10,
+    "silicone": 1.10,
+    "steel": 7.85,
+    "brass": 8.4,
+    "pla": 1.24,
+}
+"""Assumed densities. Printed paint bodies are resin too."""
+
+
+def density_g_cm3(material: str) -> float | None:
+    """Density of a material; None for bought parts that are no single material.
+
+    Raises
+    ------
+    DesignError
+        If the material is not known.
+    """
+    unknown = ("electronics", "consumable")  # materials of bought parts whose mass is left open
+    if material in unknown:
+        return None
+    key = "resin" if material.startswith("paint-") else material
+    if key not in DENSITY_g_cm3:
+        known = ", ".join([*DENSITY_g_cm3, "paint-COLOUR", *unknown])
+        raise DesignError(
+            "density-unknown", f"no density for the material {material!r}; known: {known}"
+        )
+    return DENSITY_g_cm3[key]
+
+
+def mass_g(material: str, volume_mm3: float) -> float | None:
+    """Mass of a volume; None where the material has no density."""
+    density = density_g_cm3(material)
+    return None if density is None else density * volume_mm3 / 1000.0

@@ -1,4 +1,4 @@
-"""The paint map: every receptor at 1:1 on the unrolled surface, on as many sheets as it takes."""
+"""The paint map: every receptor at 1:1 on the unrolled surface; the table of its switches."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ import numpy as np
 
 from phytac_design.core.figures import new_figure
 from phytac_design.design.spec import Design
+from phytac_design.fabrication.bill import csv_text
 from phytac_design.fabrication.documents.unroll import UnrolledSurface, unroll
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
@@ -361,3 +362,24 @@ def scale_bar(axes: Any, start: FloatArray, length_mm: int, *, upright: bool = F
     if not upright:
         end = start + np.array([float(length_mm), 3.6])
         write(axes, end.tolist(), f"{length_mm} mm", 2.6, horizontalalignment="right")
+
+
+def placement_csv(surface: Surface, markers: Markers, switches: SwitchSet, drawn: PaintMap) -> str:
+    """CSV with a line for each marker; row and column are empty where there are no rows."""
+    outer = surface.point(markers.uv)
+    threshold = switches.threshold_N[switches.bowl]
+    length = switches.lengths_mm[switches.length]
+    rows = []
+    for k in range(markers.count):
+        place = [int(markers.row[k]), int(markers.column[k])] if markers.in_rows else ["", ""]
+        numbers = np.concatenate([outer[k], drawn.place_mm[k], drawn.stretch[k]])
+        rows.append(
+            [k, *place, drawn.paint[k], drawn.switch[k], f"{threshold[k]:g}", f"{length[k]:.1f}"]
+            + [f"{value + 0.0:.4f}" for value in numbers.round(4)]
+        )
+    # Point on the outer face; place on the map (around, along); local scale of the map.
+    columns = (
+        "marker row column paint switch threshold_N length_mm x_mm y_mm z_mm "
+        "map_x_mm map_y_mm map_scale_least map_scale_most"
+    )
+    return csv_text(columns.split(), rows)

@@ -6,7 +6,7 @@ Ratios, times and temperatures are the paper's: A to C 1 : 5 by weight, (A + C) 
 from dataclasses import dataclass
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.densities import DENSITY_g_cm3
+from phytac_design.fabrication.documents.bill_of_materials import DENSITY_g_cm3
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
 
 A_TO_C = 5.0

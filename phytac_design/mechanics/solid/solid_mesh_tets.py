@@ -210,7 +210,8 @@ def solid_mesh(
         If the CAD or the mesh cannot be made.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    from phytac_design.solids.cad import shell_cad, wall_cad, write_step
+    from phytac_design.solids.cad import shell_cad, write_step
+    from phytac_design.solids.cad_wall import wall_cad
 
     sizes = default_sizes(design) if sizes is None else sizes
     bare = design.model_copy(update={"wall": design.wall.model_copy(update={"rim_length_mm": 0.0})})

@@ -21,7 +21,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_design.design.accuracy import settings_of
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, write_arrays
-from phytac_design.fabrication.documents.densities import mass_g
+from phytac_design.fabrication.documents.bill_of_materials import mass_g
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import tolerance_mm
