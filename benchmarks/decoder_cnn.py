@@ -108,8 +108,8 @@ def judge(name: str, trained: TrainedCnn, samples: Samples, held: IntArray) -> C
     read = forces[truth.sample[mine], truth.marker[mine]]
     return ContactForces(
         sample=touches.sample[contact],
-        force_N=np.bincount(owner, weights=truth.force_N[mine]),
-        decoded_N=np.bincount(owner, weights=read),
+        force_N=np.bincount(owner, weights=truth.force_N[mine]).astype(np.float64),
+        decoded_N=np.bincount(owner, weights=read).astype(np.float64),
     )
 
 
