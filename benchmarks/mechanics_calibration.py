@@ -33,7 +33,7 @@ from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 TRUTH = ShellParameters(modulus=2050.0, thickness=0.86, poisson=0.36)
 TRUTH_VALUES = np.array(astuple(TRUTH))
@@ -114,10 +114,11 @@ def measured(rows: Measurements, per_newton: FloatArray, seed: int) -> Measureme
 
 def errors(fit: Calibration) -> FloatArray:
     """Relative errors of E and t, absolute of ν, (3,)."""
-    return (np.array(astuple(fit.value)) - TRUTH_VALUES) / [*TRUTH_VALUES[:2], 1.0]
+    scale = np.array([TRUTH.modulus, TRUTH.thickness, 1.0])
+    return np.asarray((np.array(astuple(fit.value)) - TRUTH_VALUES) / scale)
 
 
-def inside(fit: Calibration) -> FloatArray:
+def inside(fit: Calibration) -> BoolArray:
     """Whether the truth lies in the interval, by parameter, (3,)."""
     low, high = np.array(astuple(fit.low)), np.array(astuple(fit.high))
     return (low <= TRUTH_VALUES) & (high >= TRUTH_VALUES)

@@ -127,14 +127,14 @@ def add_rows(table: Table, *, sizes: tuple[tuple[int, int], ...] = SIZES) -> Non
         table.add(row, sum(seconds.values()), "s", "-", source, note=note)
     if len(runs) < 2:
         return
-    sizes = [float(run["dof"]) for run in runs]
+    dof = [float(run["dof"]) for run in runs]
     columns = {name: [run["seconds"][name] for run in runs] for name in PARTS}
     columns["peak memory"] = [run["peak_GiB"] for run in runs]
     theory = {"elements": 1.0, "assembly": 1.0, "factorisation": 1.5}
     for name, values in columns.items():
-        row = f"cost: superlu, exponent of {name} over {sizes[0]:.0f} to {sizes[-1]:.0f} DOF"
+        row = f"cost: superlu, exponent of {name} over {dof[0]:.0f} to {dof[-1]:.0f} DOF"
         source = "theory of nested dissection in the plane" if name in theory else "fit"
-        table.add(row, exponent(sizes, values), "-", theory.get(name, "-"), source)
+        table.add(row, exponent(dof, values), "-", theory.get(name, "-"), source)
 
 
 if __name__ == "__main__":
