@@ -94,7 +94,7 @@ def judge(
     )
     shell, out = QuasiNewtonSolver(model), []
     for item, load in zip(solved, shell_loads(this, mesh, solved).T.toarray(), strict=True):
-        sample = shell.solve(load).sample
+        sample = shell.solve(load)
         if sample.motion is None:
             raise RuntimeError(f"contact {item.index} has no shell solution: {sample.reason}")
         out.append(TipComparison(item=item, large_mm=turned_points(feet.large(sample.motion), arm)))

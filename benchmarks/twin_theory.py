@@ -13,7 +13,6 @@ from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Loading
 from phytac_design.simulation.contacts import Contacts, draw_contacts
 from phytac_design.simulation.linear_response import point_motions, turned_points
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
@@ -59,7 +58,7 @@ def newton_all(sensor: Sensor, solver: Solver, touches: Contacts, count: int) ->
     for k in range(count):
         one = touches.of(k)
         start = time.process_time()
-        end = solve_large(solver.model, Loading(force=solver.load(one, one.force_N)))[0]
+        end = solve_large(solver.model, solver.load(one, one.force_N))[0]
         out.seconds.append(time.process_time() - start)
         out.tips_mm.append(turned_points(solver.kinematics.large(end.state.motion), arm))
     return out

@@ -6,12 +6,7 @@ import numpy as np
 
 from phytac_design.mechanics.large.stability import path_deviation
 from phytac_design.mechanics.switch.model import AxiModel
-from phytac_design.mechanics.switch.switch_path import (
-    PathConstraint,
-    PathControl,
-    PathPoint,
-    correct,
-)
+from phytac_design.mechanics.switch.switch_path import PathControl, PathPoint, correct
 from phytac_shapes.arrays import FloatArray
 
 
@@ -34,9 +29,11 @@ class ArcLengthControl(PathControl):
         sign = 1.0 if onward @ here.drive >= 0.0 else -1.0
         rate = sign * step / float(np.linalg.norm(here.drive))
         before = rate * here.drive
-        constraint = PathConstraint(
-            anchor=here.unknowns, normal=before, distance=step, quadratic=True
-        )
+
+        def constraint(unknowns: FloatArray) -> tuple[FloatArray, float, float]:
+            moved = unknowns - here.unknowns
+            return 2.0 * moved, step**2 - float(moved @ moved), 1e-9 * step**2
+
         guess = (here.unknowns + before, here.load_factor + rate)
         found = correct(model, load, guess, constraint)
         moved = found.unknowns - here.unknowns

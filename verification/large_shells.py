@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Equilibrium, Loading
+from phytac_design.mechanics.large.newton import Equilibrium
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray
 from verification.path_tracing import trace_arc, trace_displacement
@@ -78,7 +78,7 @@ def cantilever_tip(n: int, *, moment: bool) -> dict[float, tuple[float, float]]:
     """Motion (−u, w) of the tip at the load factors of the table."""
     model, load, tip = cantilever(n, moment=moment)
     factors = tuple(END_MOMENT if moment else END_FORCE)
-    path = solve_large(model, Loading(force=load), factors=factors)
+    path = solve_large(model, load, factors=factors)
     moved = [state.state.displacement_mm[tip] for state in path]
     return {f: (float(-u[0]), float(u[2])) for f, u in zip(factors, moved, strict=True)}
 
@@ -95,7 +95,7 @@ def hemisphere_points(n: int) -> dict[float, tuple[float, float]]:
     load[first, 0], load[second, 1] = 200.0, -200.0
     model = _model(mesh, fixed, thickness=0.04, modulus=6.825e7, poisson=0.3)
     factors = tuple(HEMISPHERE)
-    path = solve_large(model, Loading(force=load.ravel()), factors=factors)
+    path = solve_large(model, load.ravel(), factors=factors)
     moved = [state.state.displacement_mm for state in path]
     # Sze, Liu and Lo list −v_B (inward) first: the point pulled outward moves less.
     return {
@@ -147,7 +147,7 @@ def roof_path(n: int, *, thickness: float, longest_mm: float = 0.6) -> RoofPath:
 
     path = trace_arc(
         model,
-        Loading(force=load),
+        load,
         first_mm=longest_mm / 2.0,
         longest_mm=longest_mm,
         stop=lambda state: sag(state) > 25.0 and state.load_factor > 0.1,
@@ -198,7 +198,7 @@ def design_tube(n_around: int, n_along: int) -> dict[float, float]:
     load = np.zeros(fixed.shape)
     load[node, 0] = -0.25
     model = _model(mesh, fixed, thickness=0.8, modulus=2200.0, poisson=0.38)
-    path = solve_large(model, Loading(force=load.ravel()), factors=tuple(DESIGN_TUBE))
+    path = solve_large(model, load.ravel(), factors=tuple(DESIGN_TUBE))
     return {
         f: float(-s.state.displacement_mm[node, 0]) for f, s in zip(DESIGN_TUBE, path, strict=True)
     }
@@ -252,9 +252,7 @@ def _roof_at_tabled_sags(n: int) -> Iterator[Comparison]:
     table = ROOF[12.7]
     for key in ("limit", "minimum"):
         sag = table[f"{key} at"]
-        path = trace_displacement(
-            model, Loading(force=load), dof=6 * middle + 2, stops_mm=[-0.5 * sag, -sag]
-        )
+        path = trace_displacement(model, load, dof=6 * middle + 2, stops_mm=[-0.5 * sag, -sag])
         yield Comparison(
             name=f"hinged roof h 12.7, {n} a side, load factor at the tabled {key}, {sag} mm",
             ours=path[-1].load_factor,

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from phytac_design.mechanics.large.load_path import (
 )
 from phytac_design.mechanics.large.newton import (
     Equilibrium,
-    Loading,
     NewtonStep,
     NotConvergedError,
     System,
@@ -79,7 +79,7 @@ class ByArc:
 
 
 def trace_displacement(
-    model: ShellModel, loading: Loading, *, dof: int, stops_mm: Iterable[float]
+    model: ShellModel, load: Any, *, dof: int, stops_mm: Iterable[float]
 ) -> list[Equilibrium]:
     """Equilibria at which one translation has the values ``stops_mm``; λ follows.
 
@@ -88,7 +88,7 @@ def trace_displacement(
 
     Parameters
     ----------
-    model, loading
+    model, load
         See :func:`solve_large`.
     dof : int
         6·node + axis (0, 1, 2) of a free DOF.
@@ -100,7 +100,7 @@ def trace_displacement(
     NumericalError
         As in :func:`solve_large`; or if ``dof`` is not a free translation.
     """
-    system = System(model, loading)
+    system = System(model, load)
     if dof % 6 > 2 or not 0 <= dof < model.fixed.size or model.fixed.ravel()[dof]:
         raise NumericalError(
             "path-dof-invalid", f"dof {dof} is not a free translation (6·node + 0, 1 or 2)"
@@ -121,7 +121,7 @@ def trace_displacement(
 
 def trace_arc(
     model: ShellModel,
-    loading: Loading,
+    load: Any,
     *,
     first_mm: float,
     longest_mm: float,
@@ -132,7 +132,7 @@ def trace_arc(
 
     Parameters
     ----------
-    model, loading
+    model, load
         See :func:`solve_large`.
     first_mm, longest_mm : float
         First and longest increment: root mean square translation of all nodes, mm. Increments
@@ -147,7 +147,7 @@ def trace_arc(
     NumericalError
         If an increment does not converge after halvings, or ``stop`` is never met.
     """
-    system = System(model, loading)
+    system = System(model, load)
     here, arc = at_rest(system), first_mm
     previous = np.zeros(model.fixed.size)
     out: list[Equilibrium] = []

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.locate import element_uv
 from phytac_design.mechanics.meshing.mesh import R, S, ShellMesh
 from phytac_design.mechanics.shell.loads import _cell_area
 from phytac_design.mechanics.shell.mesh_writers import (
@@ -150,3 +149,15 @@ def model_lines(mesh: QuadraticMesh, modulus_MPa: float, poisson: float) -> list
         *("*SHELL SECTION, ELSET=SHELL, MATERIAL=RESIN", f"{mesh.linear.thickness_mm:.9g}"),
         *("*BOUNDARY", *(f"{k}, 1, 6" for k in (mesh.held + 1).tolist())),
     ]
+
+
+def element_uv(mesh: ShellMesh) -> FloatArray:
+    """Chart corners of every element, (E, 4, 2), unwrapped: no element jumps over the seam.
+
+    Of use on tubes and sheets; next to a pole chart coordinates are no measure of place.
+    """
+    uv = mesh.uv[mesh.quads]
+    if np.isfinite(mesh.period_v):
+        turn = (uv[:, :, 1] - uv[:, :1, 1]) / mesh.period_v
+        uv[:, :, 1] -= mesh.period_v * np.rint(turn)
+    return np.asarray(uv)

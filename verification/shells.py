@@ -12,9 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phytac_design.mechanics.shell.discretisation import ProbedShell
+from phytac_design.layout import Markers
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.shell.discretisation import ProbedShell, probed_sensor
 from phytac_design.mechanics.shell.shell_element import DRILLING, GAUSS, SHEAR_FACTOR, shape
-from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from verification.free_edge import FreeEdgeShell
 
@@ -626,3 +629,36 @@ def turned(case: ShellProblem, seed: int = 4) -> ShellProblem:
         loads=(case.loads @ both)[order],
         read=(case.read @ both)[order],
     )
+
+
+def sensor_shell(
+    surface: Surface,
+    markers: Markers,
+    *,
+    thickness_mm: float,
+    modulus_MPa: float,
+    poisson: float,
+    centres_uv: FloatArray,
+    radii_mm: FloatArray | float,
+) -> Callable[[int], ProbedShell]:
+    """``make`` of :func:`estimate_error` for the plain wall, probed as :func:`probed_sensor`."""
+    centres = np.asarray(centres_uv, dtype=np.float64).reshape(-1, 2)
+
+    def make(refine: int) -> ProbedShell:
+        mesh = marker_mesh(surface, markers, thickness_mm=thickness_mm, refine=refine)
+        model = clamped_model(mesh, modulus_MPa=modulus_MPa, poisson=poisson)
+        return probed_sensor(model, mesh, surface, markers, centres, radii_mm)
+
+    return make
+
+
+def rigid_modes(nodes_mm: FloatArray) -> FloatArray:
+    """Six rigid motions of a body, (N, 6, 6): [node, DOF, mode]; turns are of 1/size rad."""
+    arm = nodes_mm - nodes_mm.mean(axis=0)
+    size = float(np.abs(arm).max()) or 1.0
+    modes = np.zeros((len(nodes_mm), 6, 6))
+    modes[:, :3, :3] = np.eye(3)
+    for axis in range(3):
+        modes[:, :3, 3 + axis] = np.cross(np.eye(3)[axis], arm / size)
+        modes[:, 3 + axis, 3 + axis] = 1.0 / size
+    return modes

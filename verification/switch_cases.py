@@ -1,6 +1,7 @@
 """Verification of the solid of revolution: closed forms, and a published snapping cap."""
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -201,7 +202,7 @@ def squeezed_ring(mode: int = 2, cells: tuple[int, int] = (1, 1)) -> Comparison:
     held[:, 1] = True
     model = AxiModel(
         mesh=mesh,
-        material=StVenantKirchhoff(modulus_MPa=1e3, poisson=poisson),
+        material=cast("Material", StVenantKirchhoff(modulus_MPa=1e3, poisson=poisson)),
         held=held,
         tied=NONE,
     )
@@ -264,7 +265,7 @@ def clamped_cap(
     angle = np.arctan2(mesh.nodes_mm[:, 0], mesh.nodes_mm[:, 1] + drop)
     held = np.zeros(mesh.nodes_mm.shape, dtype=bool)
     held[np.abs(angle - np.arcsin(base / radius)) < 1e-9] = True
-    material = StVenantKirchhoff(modulus_MPa=1e7, poisson=0.3)
+    material = cast("Material", StVenantKirchhoff(modulus_MPa=1e7, poisson=0.3))
     model = AxiModel(mesh=mesh, material=material, held=held, tied=NONE)
     at = CAP["ring"] * base if ring else 0.0
     load = np.zeros(mesh.nodes_mm.shape)

@@ -8,7 +8,7 @@ import numpy as np
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Equilibrium, Loading
+from phytac_design.mechanics.large.newton import Equilibrium
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 from verification.case import Case, Cases, Evidence, Recorder, verify
@@ -86,7 +86,7 @@ def check_bent(values: Mapping[str, Any], found: Evidence) -> None:
     force[tip, 2] = number * bending / length**2 / 2.0
     ends = solve_large(
         model,
-        Loading(force=force.ravel()),
+        force.ravel(),
         factors=tuple(np.linspace(0.0, 1.0, TURN_STEPS + 1)[1:]),
     )
     moved = ends[-1].state.displacement_mm[tip].mean(axis=0) / length
@@ -109,7 +109,7 @@ def check_rolled(values: Mapping[str, Any], found: Evidence) -> None:
     force[tip, 4] = -bending * angle / length / 2.0
     ends = solve_large(
         model,
-        Loading(force=force.ravel()),
+        force.ravel(),
         factors=tuple(np.linspace(0.0, 1.0, 2 * TURN_STEPS + 1)[1:]),
     )
     moved = ends[-1].state.displacement_mm[tip].mean(axis=0) / length
@@ -122,9 +122,7 @@ def check_roof(values: Mapping[str, Any], found: Evidence) -> None:
     """Hinged roof at its published limit (Sze, Liu and Lo)."""
     model, load, middle = hinged_roof(values["n"], thickness=12.7)
     sag = ROOF[12.7]["limit at"]
-    path = trace_displacement(
-        model, Loading(force=load), dof=6 * middle + 2, stops_mm=[-0.5 * sag, -sag]
-    )
+    path = trace_displacement(model, load, dof=6 * middle + 2, stops_mm=[-0.5 * sag, -sag])
     found.add(
         "Sze, Liu and Lo: load at the tabled limit",
         path[-1].load_factor / ROOF[12.7]["limit"] - 1.0,
@@ -137,7 +135,7 @@ def check_small(values: Mapping[str, Any], found: Evidence) -> None:
     """Under next to no load large displacements are linear; in other units they are the same."""
     model, load, middle = hinged_roof(8, thickness=values["thickness"])
     share = values["share"]
-    end = solve_large(model, Loading(force=share * load))[0]
+    end = solve_large(model, share * load)[0]
     moved = end.state.displacement_mm
     linear = model.solve(load).motion[:, :3, 0] * share
     if values["linear"]:
@@ -155,7 +153,7 @@ def check_small(values: Mapping[str, Any], found: Evidence) -> None:
         fixed=model.fixed,
     )
     there = (share * load).reshape(-1, 6) * turned
-    again = solve_large(other, Loading(force=there.ravel()))[0].state.displacement_mm
+    again = solve_large(other, there.ravel())[0].state.displacement_mm
     found.close(f"lengths times {factor:g}", again / factor, moved, 1e-6, kind="units")
     found.true("the middle goes down", moved[middle, 2] < 0.0)
 
@@ -167,7 +165,7 @@ def check_bad(values: Mapping[str, Any], found: Evidence) -> None:
     force[7] = values["value"]
     if values["value"] == 0.0:
         force[:] = 0.0
-    solve_large(model, Loading(force=force))
+    solve_large(model, force)
     found.true("it is rejected", False)
 
 
@@ -194,10 +192,10 @@ def check_rigid(values: Mapping[str, Any], found: Evidence) -> None:
     move = nodes @ rot.deviation(q).T + [3.0, -1.0, 2.0]
     state = Configuration(displacement_mm=move, quaternion=np.tile(q, (4, 1)))
     stiff = np.ptp(nodes, axis=0).max() * abs(model.stiffness).max()
-    force = shell.internal(shell.local(state))
+    force = shell.internal(state)
     found.add("no force under a rigid rotation, of the stiffness", force / stiff, 1e-12)
     state.displacement_mm[2] += 0.01 * rot.matrix(q) @ (nodes[2] - nodes[0])
-    force = shell.internal(shell.local(state))
+    force = shell.internal(state)
     found.true("a stretch is felt", np.abs(force).max() > 1e-5 * abs(model.stiffness).max())
 
 
@@ -221,8 +219,8 @@ def check_rotated(_: Mapping[str, Any], found: Evidence) -> None:
     )
     force = 20.0 * load
     there = (force.reshape(-1, 2, 3) @ Q.T)[old]
-    a = solve_large(plain, Loading(force=force))[0].state.displacement_mm
-    b = solve_large(other, Loading(force=there.ravel()))[0].state.displacement_mm
+    a = solve_large(plain, force)[0].state.displacement_mm
+    b = solve_large(other, there.ravel())[0].state.displacement_mm
     found.close("the same roof in its own frame", b[new] @ Q, a, 1e-6, kind="symmetry")
     found.true("the displacement is large", np.abs(a).max() > 3.0)
 
@@ -249,7 +247,7 @@ def check_tube(values: Mapping[str, Any], found: Evidence) -> None:
     )
     # ratio() is the displacement by the linear solution over the wanted one.
     force = case.loads.ravel() / case.ratio()
-    end = solve_large(case.model(), Loading(force=force))[0]
+    end = solve_large(case.model(), force)[0]
     settled(end, force, found)
     share = -end.state.displacement_mm[node, 0] / case.reference
     found.true("moved by a third to three times the linear solution", 0.3 < share < 3.0)

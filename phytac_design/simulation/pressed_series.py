@@ -128,10 +128,11 @@ class DiscResponse:
     def _series(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
         """Motions (6N,) at the forces by Koiter's expansion; none where it says nothing."""
         try:
-            second, third = self.shell.series(load, first)
+            found = self.shell.expand(load, first)
         except (ArithmeticError, NumericalError, np.linalg.LinAlgError):
             return []
         most = float(self.forces[-1])
+        second, third = found.second, found.third
         more = np.linalg.norm((most * second + most**2 * third).reshape(-1, 6)[:, :3], axis=1)
         size = np.linalg.norm(first.reshape(-1, 6)[:, :3], axis=1)
         if not float(more.max()) <= SERIES_TERMS_MAX * float(size.max()):

@@ -144,15 +144,14 @@ class Solver:
             )
         tolerance = self.tolerance if self.displacement == "auto" else None
         found = self._shell.solve(force, tolerance=tolerance, linear=linear)
-        sample = found.sample
-        if sample.motion is None or not np.all(np.isfinite(sample.motion)):
-            return _failed(sample.reason or "the motion is not finite", theory, found.guarded)
-        theory = "large" if sample.large else "linear"
-        moved = self.kinematics.large if sample.large else self.kinematics.linear
+        if found.motion is None or not np.all(np.isfinite(found.motion)):
+            return _failed(found.reason or "the motion is not finite", theory, found.guarded)
+        theory = "large" if found.large else "linear"
+        moved = self.kinematics.large if found.large else self.kinematics.linear
         return SampleMotion(
-            motion=moved(sample.motion),
-            status=sample.status,
-            reason=sample.reason,
+            motion=moved(found.motion),
+            status=found.status,
+            reason=found.reason,
             theory=theory,
             error_estimate=found.error,
             guarded=found.guarded,

@@ -92,9 +92,7 @@ def _large(
     receptor, surface, uv = context.design.receptor, context.surface, context.markers.uv
     holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
     unit = indentation_loads(mesh, surface, contacts, holes=holes)
-    motion = (
-        QuasiNewtonSolver(model).solve(np.asarray(unit @ contacts.force_N).ravel()).sample.motion
-    )
+    motion = QuasiNewtonSolver(model).solve(np.asarray(unit @ contacts.force_N).ravel()).motion
     if motion is None:
         return None
     return ReceptorKinematics(mesh, surface, uv, receptor.diameter_outer_mm / 2.0).large(motion)

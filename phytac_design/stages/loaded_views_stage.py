@@ -47,7 +47,7 @@ class PressedShell:
         solver, done = QuasiNewtonSolver(self.model), []
         loads = (unit[:, :, None] * forces).reshape(len(unit), -1)
         for load in loads.T:
-            done.append(solver.solve(load, tolerance=tolerance).sample)
+            done.append(solver.solve(load, tolerance=tolerance))
             context.progress(
                 f"under load: {len(done)} of {loads.shape[1]} large-displacement solves"
             )

@@ -9,7 +9,6 @@ from phytac_design.mechanics.shell.discretisation import (
     DiscretisationError,
     ProbedShell,
     estimate_error,
-    sensor_shell,
 )
 from phytac_shapes.arrays import FloatArray
 from tests.mechanics.conftest import Prototype
@@ -113,7 +112,7 @@ def test_clamped_rims_and_planes_of_symmetry_are_not_free(cylinder60: Prototype)
 
 def sensor(part: Prototype, radius_mm: float = 6.0) -> DiscretisationError:
     material = part.design.material
-    make = sensor_shell(
+    make = cases.sensor_shell(
         part.surface,
         part.markers,
         thickness_mm=part.design.wall.thickness_mm,
@@ -137,7 +136,7 @@ def test_sensor_under_fingertips(cylinder60: Prototype) -> None:
 
 def test_tips_move_with_the_rotation_of_the_face(cylinder60: Prototype) -> None:
     material = cylinder60.design.material
-    part = sensor_shell(
+    part = cases.sensor_shell(
         cylinder60.surface,
         cylinder60.markers,
         thickness_mm=cylinder60.design.wall.thickness_mm,

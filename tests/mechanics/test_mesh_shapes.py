@@ -6,7 +6,7 @@ import pytest
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.mesh import (
-    MIN_SCALED_JACOBIAN,
+    SETTINGS,
     ShellMesh,
     chart_mesh,
     marker_mesh,
@@ -16,11 +16,12 @@ from phytac_design.mechanics.meshing.mesh import (
 from phytac_design.mechanics.meshing.quad_grid import EDGE_NAMES, place
 from phytac_design.mechanics.shell.compliance import column_turn
 from phytac_design.mechanics.shell.shell_element import element_stiffness
-from phytac_design.mechanics.shell.solve import ShellModel, rigid_modes
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
 from phytac_shapes import Cuboid, Hemisphere, Surface
 from tests.mechanics.families import DOMES, FAMILIES, WALL_MM, golden
 from tests.refusals import refused
+from verification.shells import rigid_modes
 
 every_family = pytest.mark.parametrize("name", FAMILIES)
 
@@ -43,7 +44,7 @@ def check_sound(surface: Surface, mesh: ShellMesh) -> None:
     # No two nodes in one place: poles and seams are shared, not doubled.
     side = np.linalg.norm(np.diff(mesh.nodes_mm[edges], axis=1), axis=2)
     assert len(np.unique(np.round(mesh.nodes_mm / (0.2 * side.min())), axis=0)) == len(mesh.uv)
-    assert mesh.scaled_jacobian().min() >= MIN_SCALED_JACOBIAN
+    assert mesh.scaled_jacobian().min() >= SETTINGS.min_scaled_jacobian
 
 
 @every_family

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from phytac_design.mechanics.large import quasi_newton, reference_configuration
-from phytac_design.mechanics.large import rotations as rot
-from phytac_design.mechanics.large.anderson import AndersonAcceleration
-from phytac_design.mechanics.large.corotational import Configuration, Corotational
-from phytac_design.mechanics.large.element_forces import ElementForces
-from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
+from phytac_design.mechanics.large import quasi_newton
+from phytac_design.mechanics.large.corotational import Corotational
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.quasi_newton import LoadCaseSolution, QuasiNewtonSolver
+from phytac_design.mechanics.large.quasi_newton import (
+    LINEAR_ERROR_SAFETY,
+    AndersonAcceleration,
+    LoadCaseSolution,
+    QuasiNewtonSolver,
+)
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
@@ -62,28 +62,12 @@ def apart(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def exact(model: ShellModel, load: np.ndarray) -> np.ndarray:
-    return solve_large(model, Loading(force=load))[0].state.motion
+    return solve_large(model, load)[0].state.motion
 
 
 def moved(found: LoadCaseSolution) -> np.ndarray:
-    assert found.sample.motion is not None
-    return found.sample.motion
-
-
-@pytest.mark.parametrize("size", [1e-10, 1e-3, 0.1, 0.6])
-def test_the_compiled_forces_are_those_of_the_arrays(size: float) -> None:
-    model = tube()[2]
-    rng = np.random.default_rng(1)
-    count = len(model.nodes_mm)
-    state = Configuration(
-        displacement_mm=size * rng.normal(size=(count, 3)),
-        quaternion=rot.exponential(size * rng.normal(size=(count, 3)))
-        * rng.choice([-1.0, 1.0], size=(count, 1)),  # both are the same rotation
-    )
-    arrays = Corotational(model)
-    wanted = arrays.internal(arrays.local(state))
-    found = ElementForces(model).internal(state)
-    np.testing.assert_allclose(found, wanted, atol=1e-11 * np.abs(wanted).max())
+    assert found.motion is not None
+    return found.motion
 
 
 def test_states_without_a_frame_are_refused() -> None:
@@ -92,13 +76,13 @@ def test_states_without_a_frame_are_refused() -> None:
     for bad in (np.nan, np.inf):
         state.displacement_mm[7] = bad
         with refused("element-distorted"):
-            ElementForces(model).internal(state)
+            Corotational(model).internal(state)
     # All corners of an element in one place: no rotation fits.
     state.displacement_mm[7] = 0.0
     nodes = model.quads[3]
     state.displacement_mm[nodes] = -model.nodes_mm[nodes]
     with refused("element-distorted"):
-        ElementForces(model).internal(state)
+        Corotational(model).internal(state)
 
 
 PRESSES = {
@@ -117,8 +101,8 @@ def test_the_end_is_newtons(shell: tuple[ShellMesh, QuasiNewtonSolver], name: st
     mesh, solver = shell
     load = pressed(mesh, *PRESSES[name])
     found = solver.solve(load)
-    assert found.sample.status == "ok"
-    assert found.sample.large
+    assert found.status == "ok"
+    assert found.large
     assert found.guarded == ""
     gap = apart(moved(found), exact(solver.model, load))
     assert gap < quasi_newton.SETTINGS.tolerance
@@ -136,7 +120,7 @@ def test_thin_thick_and_near_incompressible_walls(
     _, mesh, model = tube(thickness, poisson)
     load = pressed(mesh, [MIDDLE], [force], 5.0)
     found = QuasiNewtonSolver(model).solve(load)
-    assert found.sample.status == "ok"
+    assert found.status == "ok"
     assert apart(moved(found), exact(model, load)) < quasi_newton.SETTINGS.tolerance
 
 
@@ -148,9 +132,9 @@ def test_past_a_limit_point_no_result_is_ok(
         force = share * LIMIT * load
         found = solver.solve(force)
         if share > 1.0:
-            assert found.sample.status != "ok", share
+            assert found.status != "ok", share
         else:
-            assert found.sample.status == "ok", share
+            assert found.status == "ok", share
             assert apart(moved(found), exact(solver.model, force)) < quasi_newton.SETTINGS.tolerance
         assert bool(found.guarded) == (share > 0.9), share
 
@@ -181,19 +165,19 @@ def test_buckling_that_linear_theory_misses(
     mesh, solver = shell
     load, critical = squeeze(mesh, solver.model)
     seen = {}
-    for share in (0.2, 0.7, 0.9, 1.3):
+    for share in (0.2, 0.75, 0.9, 1.3):
         force = share * critical * load
-        assert LINEAR_ERROR_SAFETY * check_linear(solver.model, force).error < 0.1
+        assert LINEAR_ERROR_SAFETY * solver.expand(force).error < 0.1
         seen[share] = solver.solve(force, tolerance=0.1)
-    assert not seen[0.2].sample.large
+    assert not seen[0.2].large
     assert seen[0.2].lowest_eigenvalue == pytest.approx(0.8, abs=0.05)
-    assert seen[0.7].sample.large
-    assert seen[0.7].lowest_eigenvalue == pytest.approx(0.3, abs=0.05)
-    assert seen[0.9].sample.large
+    assert seen[0.75].large
+    assert seen[0.75].lowest_eigenvalue == pytest.approx(0.25, abs=0.05)
+    assert seen[0.9].large
     assert seen[0.9].lowest_eigenvalue == pytest.approx(0.1, abs=0.05)
     assert seen[1.3].guarded
-    assert seen[1.3].sample.status == "flagged"
-    assert "unstable" in seen[1.3].sample.reason
+    assert seen[1.3].status == "flagged"
+    assert "unstable" in seen[1.3].reason
 
 
 def test_linear_theory_where_it_suffices(
@@ -202,13 +186,12 @@ def test_linear_theory_where_it_suffices(
     mesh, solver = shell
     for force in (0.5, 12.0):
         load = pressed(mesh, [MIDDLE], [force], 5.0)
-        check = check_linear(solver.model, load)
+        check = solver.expand(load)
         for tolerance in (0.003, 0.03, 0.3):
             found = solver.solve(load, tolerance=tolerance)
-            assert found.linear_error == pytest.approx(check.error, rel=2e-3)
-            assert found.sample.large == (check.error * LINEAR_ERROR_SAFETY > tolerance)
-            if not found.sample.large:
-                np.testing.assert_array_equal(moved(found), check.motion)
+            assert found.large == (check.error * LINEAR_ERROR_SAFETY > tolerance)
+            if not found.large:
+                np.testing.assert_array_equal(moved(found), check.first.reshape(-1, 6))
                 assert apart(moved(found), exact(solver.model, load)) < tolerance
 
 
@@ -226,8 +209,8 @@ def test_no_load_and_no_number(shell: tuple[ShellMesh, QuasiNewtonSolver]) -> No
     _, solver = shell
     load = np.zeros(solver.model.fixed.size)
     found = solver.solve(load)
-    assert found.sample.status == "ok"
-    assert not found.sample.large
+    assert found.status == "ok"
+    assert not found.large
     assert not moved(found).any()
     held = load.copy()
     held[solver.model.fixed.ravel()] = 5.0
@@ -235,11 +218,11 @@ def test_no_load_and_no_number(shell: tuple[ShellMesh, QuasiNewtonSolver]) -> No
     for bad, why in ((np.nan, "not finite"), (1e300, "absurd")):
         load[600] = bad
         found = solver.solve(load)
-        assert found.sample.status == "failed"
-        assert found.sample.motion is None
-        assert found.sample.reason
-        assert why in found.sample.reason
-    assert solver.solve(np.zeros(5)).sample.status == "failed"
+        assert found.status == "failed"
+        assert found.motion is None
+        assert found.reason
+        assert why in found.reason
+    assert solver.solve(np.zeros(5)).status == "failed"
 
 
 @pytest.mark.parametrize(
@@ -266,18 +249,8 @@ def test_an_unsafe_result_falls_back_to_path_following(
         monkeypatch.setattr(quasi_newton, "SETTINGS", changed)
     found = solver.solve(load)
     assert found.guarded
-    assert found.sample.status == "ok"
+    assert found.status == "ok"
     np.testing.assert_array_equal(moved(found), exact(solver.model, load))
-
-
-def test_a_coarse_factor_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, mesh, model = tube()
-    load = pressed(mesh, *PRESSES["one"])
-    half = QuasiNewtonSolver(model).solve(load)
-    monkeypatch.setattr(reference_configuration, "SINGLE_PRECISION_ERROR", 0.0)
-    full = QuasiNewtonSolver(model).solve(load)
-    assert np.abs(moved(half) - moved(full)).max() > 0.0
-    assert apart(moved(half), moved(full)) < 1e-6
 
 
 def test_acceleration_solves_a_linear_system() -> None:
@@ -289,5 +262,5 @@ def test_acceleration_solves_a_linear_system() -> None:
     steps = AndersonAcceleration()
     for _ in range(6):
         r = b - A @ x
-        x = steps.next(x, r, r, 0.5)
+        x = steps.next(x, r, r)
     assert np.linalg.norm(b - A @ x) < 1e-9 * np.linalg.norm(b)

@@ -7,7 +7,7 @@ import pytest
 
 from phytac_design.mechanics.large import load_path, newton
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Control, Equilibrium, Loading, System
+from phytac_design.mechanics.large.newton import Control, Equilibrium, System
 from phytac_design.mechanics.shell.solve import ShellModel
 from tests.refusals import refused
 from verification import large_shells as large_cases
@@ -36,7 +36,7 @@ def test_hemisphere() -> None:
 def test_roof_snaps_through_under_displacement_control() -> None:
     model, load, middle = large_cases.hinged_roof(16, thickness=12.7)
     stops = [-11.293, -19.852, -25.0]
-    path = trace_displacement(model, Loading(force=load), dof=6 * middle + 2, stops_mm=stops)
+    path = trace_displacement(model, load, dof=6 * middle + 2, stops_mm=stops)
     limit, minimum, beyond = (state.load_factor for state in path)
     table = large_cases.ROOF[12.7]
     assert limit == pytest.approx(table["limit"], rel=TABLE)
@@ -73,8 +73,8 @@ def test_rotating_the_model_and_renumbering_its_nodes_change_nothing() -> None:
         fixed=model.fixed[old],
     )
     there = (load.reshape(-1, 2, 3) @ Q.T)[old]
-    one = solve_large(model, Loading(force=load))[0].state.displacement_mm
-    two = solve_large(turned, Loading(force=there.ravel()))[0].state.displacement_mm
+    one = solve_large(model, load)[0].state.displacement_mm
+    two = solve_large(turned, there.ravel())[0].state.displacement_mm
     np.testing.assert_allclose(two[new] @ Q, one, atol=1e-6)
     assert np.linalg.norm(one[tip]) > 0.7 * LENGTH
 
@@ -82,13 +82,13 @@ def test_rotating_the_model_and_renumbering_its_nodes_change_nothing() -> None:
 def test_a_tiny_load_gives_the_linear_answer() -> None:
     model, load, _ = strip()
     linear = model.solve(1e-9 * load).motion[:, :, 0]
-    large = solve_large(model, Loading(force=1e-9 * load))[0].state.motion
+    large = solve_large(model, 1e-9 * load)[0].state.motion
     np.testing.assert_allclose(large, linear, atol=1e-8 * np.abs(linear).max())
 
 
 def test_reactions_balance_the_load() -> None:
     model, load, _ = strip()
-    end = solve_large(model, Loading(force=load))[0]
+    end = solve_large(model, load)[0]
     applied = load.reshape(-1, 6)
     np.testing.assert_allclose(end.reactions[:, :3].sum(axis=0), [0, 0, -4.0], atol=1e-4)
     place = model.nodes_mm + end.state.displacement_mm
@@ -97,29 +97,29 @@ def test_reactions_balance_the_load() -> None:
 
 
 @pytest.mark.parametrize(
-    ("loading", "code"),
+    ("load", "code"),
     [
-        (Loading(force=np.zeros(108)), "load-zero"),
-        (Loading(force=np.zeros(7)), "load-vector-invalid"),
-        (Loading(force=np.full(108, np.nan)), "load-vector-invalid"),
+        (np.zeros(108), "load-zero"),
+        (np.zeros(7), "load-vector-invalid"),
+        (np.full(108, np.nan), "load-vector-invalid"),
     ],
 )
-def test_bad_loadings_are_refused(loading: Loading, code: str) -> None:
+def test_bad_loadings_are_refused(load: np.ndarray, code: str) -> None:
     with refused(code):
-        solve_large(strip()[0], loading)
+        solve_large(strip()[0], load)
 
 
 def test_bad_controls_are_refused() -> None:
     model, load, _ = strip()
     for dof in (0, 3, 10_000):
         with refused("path-dof-invalid"):
-            trace_displacement(model, Loading(force=load), dof=dof, stops_mm=[1.0])
+            trace_displacement(model, load, dof=dof, stops_mm=[1.0])
     with refused("path-stop-not-finite"):
-        solve_large(model, Loading(force=load), factors=[np.nan])
+        solve_large(model, load, factors=[np.nan])
     with refused("tracing-increments-exhausted"):
         trace_arc(
             model,
-            Loading(force=load),
+            load,
             first_mm=0.1,
             longest_mm=0.1,
             stop=lambda _: False,
@@ -133,9 +133,9 @@ def test_what_does_not_converge_is_an_error_with_its_reason(
     model, load, _ = strip()
     monkeypatch.setattr(newton, "SETTINGS", replace(newton.SETTINGS, max_iterations=1))
     with refused("no-equilibrium"):
-        solve_large(model, Loading(force=load))
+        solve_large(model, load)
     with refused("path-ended-early"):
-        trace_arc(model, Loading(force=load), first_mm=1.0, longest_mm=1.0, stop=lambda _: True)
+        trace_arc(model, load, first_mm=1.0, longest_mm=1.0, stop=lambda _: True)
 
 
 @pytest.mark.parametrize(
@@ -152,32 +152,32 @@ def test_either_tolerance_alone_stops_a_loose_answer(
         load_path, "PATH_DEVIATION_MAX", np.inf
     )  # it would refuse the loose answers, too
     model, load, _ = strip()
-    usual = solve_large(model, Loading(force=load))[0]
+    usual = solve_large(model, load)[0]
     assert usual.residual <= 1e-6
     assert usual.last_step <= 1e-4
     tight = replace(newton.SETTINGS, **{loosened: np.inf, bound: 1e-9})
     monkeypatch.setattr(newton, "SETTINGS", tight)
-    end = solve_large(model, Loading(force=load))[0]
+    end = solve_large(model, load)[0]
     assert getattr(end, figure) <= 1e-9
     loose = replace(newton.SETTINGS, **{loosened: np.inf, bound: np.inf})
     monkeypatch.setattr(newton, "SETTINGS", loose)
-    assert getattr(solve_large(model, Loading(force=load))[0], figure) > 1e-6
+    assert getattr(solve_large(model, load)[0], figure) > 1e-6
 
 
 def test_a_failed_increment_is_cut_and_the_answer_is_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     model, load, tip = strip()
-    whole = solve_large(model, Loading(force=load))[0].state.displacement_mm[tip]
-    assert solve_large(model, Loading(force=load))[0].iterations > 4
+    whole = solve_large(model, load)[0].state.displacement_mm[tip]
+    assert solve_large(model, load)[0].iterations > 4
     monkeypatch.setattr(newton, "SETTINGS", replace(newton.SETTINGS, max_iterations=4))
-    cut = solve_large(model, Loading(force=load))[0].state.displacement_mm[tip]
+    cut = solve_large(model, load)[0].state.displacement_mm[tip]
     np.testing.assert_allclose(cut, whole, atol=1e-4 * LENGTH)
 
 
 def test_the_line_search_alone_also_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
     model, load, tip = strip()
-    whole = solve_large(model, Loading(force=load))[0].state.displacement_mm[tip]
+    whole = solve_large(model, load)[0].state.displacement_mm[tip]
     plain = newton._iterate
 
     def only_searched(
@@ -188,7 +188,7 @@ def test_the_line_search_alone_also_arrives(monkeypatch: pytest.MonkeyPatch) -> 
         return plain(system, start, control, predict=False)
 
     monkeypatch.setattr(newton, "_iterate", only_searched)
-    other = solve_large(model, Loading(force=load))[0].state.displacement_mm[tip]
+    other = solve_large(model, load)[0].state.displacement_mm[tip]
     np.testing.assert_allclose(other, whole, atol=1e-4 * LENGTH)
 
 
@@ -204,8 +204,8 @@ def test_units_make_no_difference(size: float, stiffer: float) -> None:
         poisson=0.0,
         fixed=model.fixed,
     )
-    one = solve_large(model, Loading(force=load))[0]
-    two = solve_large(scaled, Loading(force=size**2 * stiffer * load))[0]
+    one = solve_large(model, load)[0]
+    two = solve_large(scaled, size**2 * stiffer * load)[0]
     moved = two.state.displacement_mm[tip] / size
     np.testing.assert_allclose(moved, one.state.displacement_mm[tip], atol=1e-9 * LENGTH)
     assert one.iterations == two.iterations
@@ -223,4 +223,4 @@ def test_a_shell_too_thin_for_the_digits_there_are_is_refused() -> None:
         fixed=model.fixed,
     )
     with refused("stiffness-ill-conditioned"):
-        solve_large(thin, Loading(force=1e-12 * load))
+        solve_large(thin, 1e-12 * load)

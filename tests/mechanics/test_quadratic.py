@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
@@ -104,7 +103,7 @@ def test_25_n_on_a_fingertip_against_ccx_nlgeom(cylinder60: Prototype, tmp_path:
     mesh = graded(surface)
     model = clamped_model(mesh, **kind)
     load = 25.0 * patch_loads(mesh, surface, CENTRE[None], RADIUS)
-    end = solve_large(model, Loading(force=load))[0]
+    end = solve_large(model, load)[0]
     assert (end.stable, end.jumped) == (True, False)
     ours = end.state.displacement_mm
     peak = np.linalg.norm(theirs, axis=1).max()

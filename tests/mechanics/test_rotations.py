@@ -53,10 +53,3 @@ def test_moment_change_is_the_derivative_of_h_transposed_m(angle: float) -> None
             for s in (1.0, -1.0)
         )
         np.testing.assert_allclose(change[:, :, axis], (ahead - back) / (2 * e), atol=2e-8)
-
-
-def test_best_fit_finds_the_rotation_of_a_flat_square() -> None:
-    square = np.tile([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]], (7, 1, 1))
-    q = rot.exponential(vectors(2.9))
-    found = rot.best_fit(square, square @ np.swapaxes(rot.matrix(q), 1, 2))
-    np.testing.assert_allclose(rot.matrix(found), rot.matrix(q), atol=1e-12)

@@ -9,12 +9,15 @@ from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.cylinder import Cylinder
+from phytac_shapes.errors import NumericalError
 from tests.refusals import refused
 from verification import shells as cases
 
 TUBE = chart_mesh(
     Cylinder(diameter_outer_mm=20.0, length_mm=30.0), thickness_mm=0.5, n_along=6, n_around=16
 )
+TUBE_DOFS = 6 * len(TUBE.nodes_mm)
+SINGULAR = ("stiffness-not-factored", "stiffness-ill-conditioned")
 
 
 def model(**changes: Any) -> ShellModel:
@@ -66,41 +69,38 @@ def test_compliance_scales_with_modulus_and_takes_values_per_element() -> None:
     assert not np.allclose(model(thickness_mm=thicker).solve(load).motion, plain, rtol=1e-3)
 
 
-def test_a_body_that_can_move_is_refused_with_the_motions_blocked() -> None:
-    loose = np.zeros_like(model().fixed)
-    with refused("shell-not-held") as caught:
+def test_a_body_that_can_move_is_refused() -> None:
+    loose, load = np.zeros_like(model().fixed), np.random.default_rng(1).normal(size=TUBE_DOFS)
+    with refused("shell-not-held"):
         model(fixed=loose)
-    caught.match("0 of 6")
-    loose[0, :3] = True
-    with refused("shell-not-held") as caught:
-        model(fixed=loose)
-    caught.match("3 of")
-    loose[3, :3] = True  # a hinge about the line of the two nodes is left
-    with refused("shell-not-held") as caught:
-        model(fixed=loose)
-    caught.match("5 of")
+    loose[0, :3] = loose[3, :3] = True  # a hinge about the line of the two nodes is left
+    with pytest.raises(NumericalError) as caught:
+        model(fixed=loose).solve(load)
+    assert caught.value.code in SINGULAR
     loose[8, 2] = True
-    assert model(fixed=loose).solve(np.ones(loose.size)).error < 1e-6
+    assert model(fixed=loose).solve(load).error < 1e-6
 
 
 def test_a_second_loose_body_is_found() -> None:
     count = len(TUBE.nodes_mm)
-    with refused("shell-not-held"):
-        model(
-            nodes_mm=np.concatenate([TUBE.nodes_mm, TUBE.nodes_mm + 100.0]),
-            directors=np.concatenate([TUBE.normals, TUBE.normals]),
-            quads=np.concatenate([TUBE.quads, TUBE.quads + count]),
-            fixed=np.concatenate([model().fixed, np.zeros((count, 6), dtype=bool)]),
-        )
+    both = model(
+        nodes_mm=np.concatenate([TUBE.nodes_mm, TUBE.nodes_mm + 100.0]),
+        directors=np.concatenate([TUBE.normals, TUBE.normals]),
+        quads=np.concatenate([TUBE.quads, TUBE.quads + count]),
+        fixed=np.concatenate([model().fixed, np.zeros((count, 6), dtype=bool)]),
+    )
+    with pytest.raises(NumericalError) as caught:
+        both.solve(np.random.default_rng(1).normal(size=2 * TUBE_DOFS))
+    assert caught.value.code in SINGULAR
 
 
 def test_a_node_without_elements_is_refused() -> None:
-    with refused("node-without-element"):
+    with refused("stiffness-zero-diagonal"):
         model(
             nodes_mm=np.concatenate([TUBE.nodes_mm, [[0.0, 0, 0]]]),
             directors=np.concatenate([TUBE.normals, [[0.0, 0, 1]]]),
             fixed=np.concatenate([model().fixed, np.zeros((1, 6), dtype=bool)]),
-        )
+        ).solve(np.zeros(TUBE_DOFS + 6))
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,6 @@ def test_a_node_without_elements_is_refused() -> None:
             {"nodes_mm": np.where(TUBE.nodes_mm > 29.9, np.nan, TUBE.nodes_mm)},
             "material-value-invalid",
         ),
-        ({"fixed": np.zeros((3, 6), dtype=bool)}, "fixed-flags-shape"),
     ],
 )
 def test_bad_input_is_refused(changes: dict[str, Any], code: str) -> None:
@@ -217,15 +216,6 @@ def test_claimed_rounding_error_is_honest(
     )
     assert true < 1.5 * claimed
     assert claimed < 30.0 * max(true, 1e-12)  # not so careful that good results are refused
-
-
-def test_condition_number_is_that_of_the_dense_matrix() -> None:
-    tube = model()
-    scaled = tube.factor.scaled.toarray()
-    assert tube.condition() == pytest.approx(np.linalg.cond(scaled, 1), rel=0.5)
-    assert tube.condition() <= np.linalg.cond(scaled, 1) * (1.0 + 1e-9)
-    thin = model(thickness_mm=0.05).condition()
-    assert thin > 2.0 * tube.condition()
 
 
 def test_a_solution_out_of_balance_is_refused() -> None:

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 
 from phytac_design.mechanics.large import load_path
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
+from phytac_design.mechanics.large.newton import Equilibrium, System
 from phytac_design.mechanics.large.stability import negative_pivots, path_deviation
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from tests.refusals import refused
@@ -30,7 +30,7 @@ def sag(state: Equilibrium, middle: int) -> float:
 
 
 def exact_negatives(model: ShellModel, load: np.ndarray, state: Equilibrium) -> int:
-    system = System(model, Loading(force=load))
+    system = System(model, load)
     local = system.shell.local(state.state)
     K = system.shell.tangent(local).toarray()
     K = (system.scale[:, None] * K * system.scale)[np.ix_(system.free, system.free)]
@@ -70,7 +70,7 @@ def test_arc_length_finds_the_roof_unstable_between_its_limit_points(
     model, load, middle = roof
     states = trace_arc(
         model,
-        Loading(force=load),
+        load,
         first_mm=0.5,
         longest_mm=1.0,
         stop=lambda s: sag(s, middle) > 25.0,
@@ -93,7 +93,7 @@ def test_displacement_control_passes_the_limit_without_a_jump(
 ) -> None:
     model, load, middle = roof
     stops = [-8.0, -15.0, -24.0]
-    states = trace_displacement(model, Loading(force=load), dof=6 * middle + 2, stops_mm=stops)
+    states = trace_displacement(model, load, dof=6 * middle + 2, stops_mm=stops)
     assert [s.stable for s in states] == [True, False, True]
     assert not any(s.jumped for s in states)
 
@@ -101,7 +101,7 @@ def test_displacement_control_passes_the_limit_without_a_jump(
 def test_displacement_control_across_a_snap_back_is_marked() -> None:
     model, load, middle = large_cases.hinged_roof(8, thickness=6.35)
     stops = [-10.0, -16.0, -18.5]
-    states = trace_displacement(model, Loading(force=load), dof=6 * middle + 2, stops_mm=stops)
+    states = trace_displacement(model, load, dof=6 * middle + 2, stops_mm=stops)
     assert [s.jumped for s in states] == [False, False, True]
 
 
@@ -110,9 +110,7 @@ def test_load_control_marks_what_lies_beyond_the_limit(
     roof: tuple[ShellModel, np.ndarray, int], share: float
 ) -> None:
     model, load, middle = roof
-    end, after = solve_large(
-        model, Loading(force=load), factors=[share * LIMIT, share * LIMIT + 0.02]
-    )
+    end, after = solve_large(model, load, factors=[share * LIMIT, share * LIMIT + 0.02])
     assert end.jumped == (share > 1.0)
     assert (sag(end, middle) > 20.0) == (share > 1.0)
     assert end.stable
@@ -124,7 +122,7 @@ def test_without_the_guard_the_same_jump_is_silent(
 ) -> None:
     model, load, middle = roof
     monkeypatch.setattr(load_path, "PATH_DEVIATION_MAX", np.inf)
-    end = solve_large(model, Loading(force=load), factors=[1.05 * LIMIT])[0]
+    end = solve_large(model, load, factors=[1.05 * LIMIT])[0]
     assert sag(end, middle) > 20.0
     assert not end.jumped
 
@@ -133,14 +131,14 @@ def test_a_pressed_shell_and_a_bending_strip_are_not_marked() -> None:
     strip, force, _ = large_cases.cantilever(8, moment=False)
     rolled, moment, _ = large_cases.cantilever(12, moment=True)
     for model, load in ((strip, force), (rolled, moment)):
-        end = solve_large(model, Loading(force=load))[0]
+        end = solve_large(model, load)[0]
         assert (end.stable, end.jumped) == (True, False)
 
 
 def test_the_path_check_rejects_a_changed_sign_and_a_control_that_does_not_move(
     roof: tuple[ShellModel, np.ndarray, int],
 ) -> None:
-    before, after = solve_large(roof[0], Loading(force=roof[1]), factors=[0.3, 0.33])
+    before, after = solve_large(roof[0], roof[1], factors=[0.3, 0.33])
     check = load_path.PathCheck(pace=lambda _: 1.0, mark=lambda state: state.negative_pivots)
     still = load_path.PathCheck(pace=lambda _: 0.0, mark=lambda state: state.negative_pivots)
     assert not check.deviates(before, after, 0.03)
@@ -154,7 +152,7 @@ def test_increments_do_not_go_on_for_ever(
 ) -> None:
     monkeypatch.setattr(load_path, "SETTINGS", replace(load_path.SETTINGS, max_increments=2))
     with refused("no-equilibrium"):
-        solve_large(roof[0], Loading(force=roof[1]), factors=[0.99 * LIMIT])
+        solve_large(roof[0], roof[1], factors=[0.99 * LIMIT])
 
 
 def test_stray_is_zero_on_a_straight_path_and_of_second_order_on_a_curved_one() -> None:

@@ -8,7 +8,6 @@ import pytest
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.pressure import indentation_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
@@ -46,7 +45,7 @@ def predicted(orders: int, force_N: float) -> FloatArray:
 
 def newton_motion(load: FloatArray) -> FloatArray:
     """Motion (6N,) by increments of the full tangent."""
-    state = solve_large(pressed(1).model, Loading(force=load))[-1].state
+    state = solve_large(pressed(1).model, load)[-1].state
     return np.asarray(state.motion.ravel())
 
 

@@ -10,7 +10,6 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.mechanics.meshing.locate import element_uv
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
@@ -35,6 +34,7 @@ from phytac_design.simulation.sensor_instance import SensorInstance, thickness_f
 from phytac_design.simulation.solver import SampleMotion, Solver
 from phytac_shapes.errors import NumericalError
 from tests.designs import small
+from verification.quadratic_shell import element_uv
 
 DESIGN = small()
 SURFACE = DESIGN.surface()

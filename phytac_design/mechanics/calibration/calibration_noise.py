@@ -15,15 +15,6 @@ import numpy as np
 
 from phytac_shapes.arrays import FloatArray, IntArray
 
-START = (0.05, 1e-2, 0.01)
-"""Relative noise, floor (of the rms displacement) and force error to start the estimate from."""
-MINIMUM = (1e-5, 1e-6, 1e-5)
-"""The same, least values: data without noise must not divide by zero."""
-
-
-XTOL, FTOL = 5e-3, 1e-3
-"""Ends of the search: half a percent of a noise level, a thousandth in the log-likelihood."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class MeasurementNoise:
@@ -79,8 +70,9 @@ def estimate_noise(
     size = float(np.sqrt(np.mean(expected**2)))
     grouped = press.max() + 1 < len(press)
     residual = residual * np.sqrt(len(residual) / max(1, len(residual) - fitted))
+    # Relative noise, floor and force error: data without noise must not divide by zero.
     scale = np.array([1.0, size, 1.0])
-    low = np.log(np.array(MINIMUM) * scale)
+    low = np.log(np.array([1e-5, 1e-6, 1e-5]) * scale)
     count = 3 if grouped else 2
 
     def unpack(log: FloatArray) -> tuple[float, float, float]:
@@ -97,11 +89,12 @@ def estimate_noise(
             total += np.sum(np.log1p(tau**2 * s) - tau**2 * q * q / (1.0 + tau**2 * s))
         return float(total)
 
-    begin = np.array(START) * scale
+    begin = np.array([0.05, 1e-2, 0.01]) * scale
     if start is not None:
         begin = np.array([start.relative, start.floor_mm, start.force_relative])
     first = np.maximum(np.log(np.maximum(begin, 1e-300)), low)[:count]
-    options = {"xatol": XTOL, "fatol": FTOL, "initial_simplex": _simplex(first)}
+    # Half a percent of a noise level, a thousandth in the log-likelihood.
+    options = {"xatol": 5e-3, "fatol": 1e-3, "initial_simplex": _simplex(first)}
     best = minimize(cost, first, method="Nelder-Mead", options=options)
     a, f, tau = unpack(best.x)
     presses = int(press.max()) + 1

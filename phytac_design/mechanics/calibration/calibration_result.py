@@ -7,11 +7,6 @@ from phytac_design.mechanics.calibration.calibration_noise import MeasurementNoi
 
 Name = Literal["modulus", "thickness", "poisson"]
 NAMES: tuple[Name, ...] = ("modulus", "thickness", "poisson")
-LABELS: tuple[tuple[Name, str, str], ...] = (
-    ("modulus", "Young's modulus", "MPa"),
-    ("thickness", "wall thickness", "mm"),
-    ("poisson", "Poisson's ratio", ""),
-)
 CONFIDENCE = 0.95
 """Confidence of the intervals."""
 
@@ -71,7 +66,11 @@ class Calibration:
     def text(self) -> str:
         """For a person to read."""
         lines = [f"{self.rows} displacements of {self.presses} presses"]
-        for name, label, unit in LABELS:
+        for name, label, unit in (
+            ("modulus", "Young's modulus", "MPa"),
+            ("thickness", "wall thickness", "mm"),
+            ("poisson", "Poisson's ratio", ""),
+        ):
             low, value, high = (getattr(p, name) for p in (self.low, self.value, self.high))
             known = f"{CONFIDENCE:.0%} {low:.4g} … {high:.4g}" if name in self.fitted else "held"
             lines.append(f"  {label:15s} {value:9.5g} {unit:4s} {known}")

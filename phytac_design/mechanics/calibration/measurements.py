@@ -17,11 +17,6 @@ PLACES = {"marker": ("marker",), "chart": ("u", "v"), "point": ("x_mm", "y_mm", 
 """The three ways to state a position, each a set of columns behind ``contact_`` or ``probe_``."""
 VALUES = ("patch_radius_mm", "force_N", "displacement_mm")
 KNOWN = [f"{what}_{name}" for what in ("contact", "probe") for c in PLACES.values() for name in c]
-TABLE_BYTES_MAX = 1 << 26
-OFF_SURFACE_MM = 0.5
-"""Farthest that a measured point may lie from the wall: a reading error, not another frame."""
-MAX_ROWS_NAMED = 5
-MAX_TEXT = 120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +85,7 @@ def read_measurements(
 def _columns(path: Path) -> dict[str, FloatArray]:
     """Columns of numbers by name, and ``line``, the line of the file that each row stands on."""
     try:
-        lines = read_text(path, encoding="utf-8-sig", bytes_max=TABLE_BYTES_MAX).splitlines()
+        lines = read_text(path, encoding="utf-8-sig", bytes_max=1 << 26).splitlines()
     except UnicodeDecodeError:
         raise InputError(
             "file-not-csv", f"{path} is not a CSV file: it is not even text; save it as UTF-8"
@@ -140,9 +135,7 @@ def _check_names(path: Path, names: list[str]) -> None:
         if name not in known:
             near = get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-            raise InputError(
-                "csv-column-unknown", f"{path}: unknown column {name[:MAX_TEXT]!r}; {hint}"
-            )
+            raise InputError("csv-column-unknown", f"{path}: unknown column {name[:120]!r}; {hint}")
         if names.count(name) > 1:
             raise InputError(
                 "csv-column-duplicate", f"{path}: column {name!r} stands there twice; keep one"
@@ -163,7 +156,7 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     if not np.isfinite(value):
         raise InputError(
             "csv-value-invalid",
-            f"{path} line {line}: {name} is not a finite number (got {text.strip()[:MAX_TEXT]!r}); "
+            f"{path} line {line}: {name} is not a finite number (got {text.strip()[:120]!r}); "
             "correct the value or remove the line",
         )
     return value
@@ -197,7 +190,8 @@ def _place(
     bad = ~((uv[:, 0] >= u0) & (uv[:, 0] <= u1))
     if kind == "point":
         depth = np.sum((values - surface.point(uv)) * surface.normal(uv), axis=1)
-        bad |= ~((depth <= OFF_SURFACE_MM) & (depth >= -wall_mm - OFF_SURFACE_MM))
+        off_mm = 0.5  # a reading error, not another frame
+        bad |= ~((depth <= off_mm) & (depth >= -wall_mm - off_mm))
     name = f"{what}_{PLACES[kind][0]}"
     _refuse(path, bad, name, f"puts the {what} off the shell (u from {u0:g} to {u1:g})", table)
     return np.asarray(uv, dtype=np.float64)
@@ -211,7 +205,7 @@ def _refuse(
     table: dict[str, FloatArray],
 ) -> None:
     if np.any(bad):
-        lines = ", ".join(f"{line:.0f}" for line in table["line"][bad][:MAX_ROWS_NAMED])
+        lines = ", ".join(f"{line:.0f}" for line in table["line"][bad][:5])
         raise InputError(
             "csv-value-range",
             f"{path} line {lines}: {name} {why} (got {table[name][bad][0]:g}, "

@@ -27,9 +27,6 @@ from phytac_shapes.arrays import FloatArray, IntArray
 
 MESH_RATIO = 1.5
 """Element counts of the fine mesh over those of the coarse one."""
-LOADS_AT_ONCE = 64
-"""Loads worked on together, to bound the memory."""
-ALONG_SAMPLES = 33
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,9 +116,10 @@ class ProbeResponse:
         loads, nodes, shape = self._kept[counts[1]]
         weights = _inward_weights(mesh, self.surface, self.rows.probe_uv, nodes, shape)
         out = np.zeros((3 if with_poisson else 2, len(load)))
-        for first in range(0, len(distinct), LOADS_AT_ONCE):
-            here = np.flatnonzero((load >= first) & (load < first + LOADS_AT_ONCE))
-            solved = model.solve(loads[:, first : first + LOADS_AT_ONCE]).motion
+        at_once = 64  # loads, to bound the memory
+        for first in range(0, len(distinct), at_once):
+            here = np.flatnonzero((load >= first) & (load < first + at_once))
+            solved = model.solve(loads[:, first : first + at_once]).motion
             motions = [solved, motion_rate(model, rates.thickness, solved)]
             if with_poisson:
                 motions.append(motion_rate(model, rates.poisson, solved))
@@ -133,8 +131,8 @@ class ProbeResponse:
 def mesh_counts(surface: Surface, around: int) -> tuple[int, int]:
     """Elements (along, around) of the coarse mesh: even, and about square on average."""
     (u0, u1), (v0, v1) = surface.domain
-    u = u0 + (u1 - u0) * (np.arange(ALONG_SAMPLES) + 0.5) / ALONG_SAMPLES
-    metric = surface.metric(np.column_stack([u, np.full(ALONG_SAMPLES, v0)]))
+    u = u0 + (u1 - u0) * (np.arange(33) + 0.5) / 33
+    metric = surface.metric(np.column_stack([u, np.full_like(u, v0)]))
     length = (u1 - u0) * float(np.mean(np.sqrt(metric[:, 0, 0])))
     girth = (v1 - v0) * float(np.mean(np.sqrt(metric[:, 1, 1])))
     even = max(4, 2 * round(around / 2))

@@ -15,20 +15,17 @@ small; displacements and rotations of the shell need not be.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from phytac_design.mechanics.large import rotations as rot
+from phytac_design.mechanics.large.element_forces import element_forces
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
-from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_design.mechanics.shell.sparse_assembly import Pattern, assemble, make_pattern
+from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
-
-FIT_STEPS = 12
-"""Newton steps of the best fit; three are common."""
-FIT_TOL = 1e-11
-"""Last step of the fit, rad; the one after it would be of the order of its square."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,12 +71,15 @@ class LocalElements:
         ū (mm) and θ̄ (rad).
     forces : (E, 4, 6) float
         f̄ (N, N mm).
+    nodal : (6N,) float
+        Nodal forces (N) and moments (N mm, on spins) that balance the elements, global axes.
     """
 
     frame: FloatArray
     corners: FloatArray
     motion: FloatArray
     forces: FloatArray
+    nodal: FloatArray
 
 
 class Corotational:
@@ -89,21 +89,39 @@ class Corotational:
     ----------
     model : ShellModel
         The shell: its mesh, section and supports.
+    apart : slice, optional
+        Of these elements (e) alone, each with four nodes of its own: 4e nodes in their order.
+
+    Attributes
+    ----------
+    extent_mm : (e,) float
+        Mean distance of the elements' corners from their middle.
     """
 
-    def __init__(self, model: ShellModel) -> None:
+    def __init__(self, model: ShellModel, *, apart: slice | None = None) -> None:
         self.model = model
-        corner = model.nodes_mm[model.quads]
-        self._arms = corner - corner.mean(axis=1, keepdims=True)
-        self._stiffness = model.elements.combine(
-            modulus_MPa=model.modulus_MPa, thickness_mm=model.thickness_mm
+        some = slice(None) if apart is None else apart
+        self.quads, self.size = model.quads[some], 6 * len(model.nodes_mm)
+        corner = model.nodes_mm[self.quads]
+        modulus, thickness = (
+            value if np.ndim(value) == 0 else value[some]
+            for value in (np.asarray(model.modulus_MPa), np.asarray(model.thickness_mm))
         )
-        self._pattern = make_pattern(model.quads, len(model.nodes_mm))
-        self._moment_arms = rot.spin(self._arms)
+        if apart is not None:
+            self.quads, self.size = np.arange(corner.size // 3).reshape(-1, 4), 2 * corner.size
+        self._arms = np.ascontiguousarray(corner - corner.mean(axis=1, keepdims=True))
+        self._stiffness = np.ascontiguousarray(
+            model.elements.pick(some).combine(modulus_MPa=modulus, thickness_mm=thickness)
+        )
+        self.extent_mm = np.linalg.norm(self._arms, axis=2).mean(axis=1)
+
+    @cached_property
+    def _pattern(self) -> Pattern:
+        return make_pattern(self.quads, self.size // 6)
 
     def rest(self) -> Configuration:
         """Return the undeformed state."""
-        count = len(self.model.nodes_mm)
+        count = self.size // 6
         return Configuration(displacement_mm=np.zeros((count, 3)), quaternion=rot.identity(count))
 
     def local(self, state: Configuration) -> LocalElements:
@@ -114,73 +132,35 @@ class Corotational:
         NumericalError
             If an element is so distorted that no best fit is found.
         """
-        moved = state.displacement_mm[self.model.quads]
-        moved = moved - moved.mean(axis=1, keepdims=True)
-        nodal = state.quaternion[self.model.quads]
-        frame = self._fit(moved, nodal)
-        ubar = self._deformation(frame, moved)
-        theta = rot.logarithm(rot.product(rot.inverse(frame)[:, None], nodal))
-        motion = np.concatenate([ubar, theta], axis=2)
+        count = len(self.quads)
+        nodal = np.zeros((self.size // 6, 6))
+        frame, ubar = np.empty((count, 4)), np.empty((count, 4, 3))
+        motion, forces = np.empty((count, 24)), np.empty((count, 24))
+        loose = element_forces(
+            np.ascontiguousarray(self.quads, dtype=np.int64),
+            self._arms,
+            self._stiffness,
+            np.ascontiguousarray(state.displacement_mm),
+            np.ascontiguousarray(state.quaternion),
+            (nodal, frame, ubar, motion, forces),
+        )
+        if loose >= 0:
+            raise NumericalError(
+                "element-distorted",
+                f"element {loose} is distorted so that no rigid rotation fits its corners; take "
+                "smaller load steps or refine the mesh",
+            )
         return LocalElements(
             frame=frame,
             corners=self._arms + ubar,
-            motion=motion,
-            forces=self.local_forces(motion),
+            motion=motion.reshape(-1, 4, 6),
+            forces=forces.reshape(-1, 4, 6),
+            nodal=nodal.ravel(),
         )
 
-    def local_forces(self, motion: FloatArray) -> FloatArray:
-        """f̄ = K (ū, θ̄), (E, 4, 6)."""
-        return (self._stiffness @ motion.reshape(-1, 24, 1)).reshape(motion.shape)
-
-    def _deformation(self, frame: FloatArray, moved: FloatArray) -> FloatArray:
-        """ū = Rᵀ(P + d) − P, with relative precision also when tiny."""
-        back = rot.deviation(rot.inverse(frame))
-        return np.asarray(moved + (self._arms + moved) @ np.swapaxes(back, 1, 2))
-
-    def _fit(self, moved: FloatArray, nodal: FloatArray) -> FloatArray:
-        """Frames (E, 4) with Σ P_a × ū_a = 0.
-
-        Newton from the mean of the corners' rotations; elements that it does not settle start
-        again from the global optimum (Horn 1987: an eigenvector), and are polished.
-        """
-        aligned = np.where(np.sum(nodal * nodal[:, :1], axis=2, keepdims=True) < 0.0, -nodal, nodal)
-        frame = aligned.sum(axis=1)
-        frame /= np.linalg.norm(frame, axis=1, keepdims=True)
-        frame, loose = self._newton_fit(frame, moved)
-        if np.any(loose):
-            start = frame.copy()
-            start[loose] = rot.best_fit(self._arms[loose], (self._arms + moved)[loose])
-            frame, loose = self._newton_fit(start, moved)
-        if np.any(loose):
-            raise NumericalError(
-                "element-distorted",
-                f"{int(loose.sum())} elements are distorted so that no rigid rotation fits their "
-                "corners; take smaller load steps or refine the mesh",
-            )
-        return frame
-
-    def _newton_fit(self, frame: FloatArray, moved: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Frames after Newton's method on Σ P_a × ū_a = 0, and those that it does not settle."""
-        loose = np.ones(len(frame), dtype=np.bool_)
-        for _ in range(FIT_STEPS):
-            inertia, gap = self._misfit(frame, moved)
-            finite = np.isfinite(inertia).all(axis=(1, 2))
-            inertia[~finite] = np.eye(3)
-            sound = finite & (np.linalg.det(inertia) > 0.0)
-            inertia[~sound] = np.eye(3)
-            gap[~sound] = 0.0
-            step = np.linalg.solve(inertia, gap[:, :, None])[:, :, 0]
-            size = np.linalg.norm(step, axis=1)
-            short = np.minimum(1.0, 1.0 / np.maximum(size, 1e-300))[:, None]
-            frame = rot.product(frame, rot.exponential(np.asarray(short * step)))
-            loose = ~(sound & (size * size < FIT_TOL))
-            if not np.any(loose):
-                break
-        return frame, loose
-
-    def _misfit(self, frame: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
-        ubar = self._deformation(frame, moved)
-        return self._inertia(self._arms + ubar), rot.cross(self._arms, ubar).sum(axis=1)
+    def internal(self, state: Configuration) -> FloatArray:
+        """Nodal forces (N) and moments (N mm, on spins) that balance the elements, (6N,)."""
+        return self.local(state).nodal
 
     def _inertia(self, corners: FloatArray) -> FloatArray:
         """A (E, 3, 3) with A ω = Σ P_a × (ω × p_a)."""
@@ -188,16 +168,6 @@ class Corotational:
         trace = np.trace(product, axis1=1, axis2=2)[:, None, None]
         # P × (ω × p) = ω (P·p) − p (P·ω)
         return np.asarray(trace * np.eye(3) - np.swapaxes(product, 1, 2))
-
-    def internal(self, local: LocalElements) -> FloatArray:
-        """Nodal forces (N) and moments (N mm, on spins) that balance the elements, (6N,)."""
-        forces = self._projected(local, local.forces)[0]
-        R = rot.matrix(local.frame)
-        turned = forces.reshape(len(R), 8, 3) @ np.swapaxes(R, 1, 2)
-        node = np.repeat(self.model.quads, 6, axis=1) * 6 + np.tile(np.arange(6), 4)
-        return np.bincount(
-            node.ravel(), turned.ravel(), minlength=6 * len(self.model.nodes_mm)
-        ).astype(np.float64)
 
     def _projected(
         self, local: LocalElements, forces: FloatArray
@@ -207,7 +177,7 @@ class Corotational:
         n = forces[:, :, :3]
         m = (np.swapaxes(H, 2, 3) @ forces[:, :, 3:, None])[..., 0]
         turn = np.linalg.inv(self._inertia(local.corners))
-        G = (turn[:, None] @ self._moment_arms).transpose(0, 2, 1, 3)
+        G = (turn[:, None] @ rot.spin(self._arms)).transpose(0, 2, 1, 3)
         torque = (rot.cross(local.corners, n) + m).sum(axis=1)
         balanced = n - np.einsum("eiak,ei->eak", G, torque)
         y = np.einsum("eji,ej->ei", turn, torque)
@@ -282,7 +252,7 @@ class Corotational:
         """Local forces (E, 4, 6) after the motion ``step`` (6N,), to first order."""
         turn = np.linalg.inv(self._inertia(local.corners))
         R = rot.matrix(local.frame)
-        moves = step.reshape(-1, 2, 3)[self.model.quads].reshape(len(R), 8, 3) @ R
+        moves = step.reshape(-1, 2, 3)[self.quads].reshape(len(R), 8, 3) @ R
         moves = moves.reshape(len(R), 4, 6)
         moment = rot.cross(self._arms, moves[:, :, :3]).sum(axis=1)
         spin = (turn @ moment[:, :, None])[:, None, :, 0]
@@ -291,4 +261,4 @@ class Corotational:
         change[:, :, 3:] -= spin
         H = rot.spin_to_vector(local.motion[:, :, 3:])
         change[:, :, 3:] = (H @ change[:, :, 3:, None])[..., 0]
-        return local.forces + self.local_forces(change)
+        return local.forces + (self._stiffness @ change.reshape(-1, 24, 1)).reshape(change.shape)

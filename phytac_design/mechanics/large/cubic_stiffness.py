@@ -14,34 +14,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phytac_design.mechanics.large import rotations as rot
-from phytac_design.mechanics.large.corotational import Configuration
-from phytac_design.mechanics.large.element_forces import ElementForces
+from phytac_design.mechanics.large.corotational import Configuration, Corotational
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 
-STEP_RAD = 1e-3
-"""Turn of the differences; motion is that times the element's size."""
 DOFS = 24
-CHUNK = 512
-"""Elements processed together: bounds the memory."""
 
 
-def cubic_stiffness(model: ShellModel) -> Iterator[tuple[slice, NDArray[np.float32]]]:
-    """Elements, some at a time, and Π‴ (e, 24, 24, 24) of each, in N, mm and rad.
+def cubic_stiffness(
+    model: ShellModel, *, at_once: int = 512
+) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+    """Elements, ``at_once`` to bound the memory, and Π‴ (e, 24, 24, 24) of each, in N, mm and rad.
 
     DOFs of an element are motion (mm) and rotation vector (rad) of its corners in turn, along
     global axes.
     """
-    for first in range(0, len(model.quads), CHUNK):
-        some = slice(first, min(first + CHUNK, len(model.quads)))
-        yield some, _of(ElementForces(model, apart=some))
+    for first in range(0, len(model.quads), at_once):
+        some = slice(first, min(first + at_once, len(model.quads)))
+        yield some, _of(Corotational(model, apart=some))
 
 
-def _of(elastic: ElementForces) -> NDArray[np.float32]:
+def _of(elastic: Corotational) -> NDArray[np.float32]:
     count = elastic.size // DOFS
     # Of motion, then of rotation, of each corner.
     each = np.stack([elastic.extent_mm, np.ones(count)], axis=1)
-    step = STEP_RAD * np.tile(np.repeat(each, 3, axis=1), 4)
+    # Turns of 1e-3 rad, and motion of that times the element's size.
+    step = 1e-3 * np.tile(np.repeat(each, 3, axis=1), 4)
 
     def even(*dofs: int) -> FloatArray:
         """Half of what forces (e, 24) have in common under steps of DOFs and back."""
@@ -60,7 +58,7 @@ def _of(elastic: ElementForces) -> NDArray[np.float32]:
     return np.ascontiguousarray((raw + turned) / np.float32(3.0))
 
 
-def _forces(elastic: ElementForces, motion: FloatArray) -> FloatArray:
+def _forces(elastic: Corotational, motion: FloatArray) -> FloatArray:
     parts = motion.reshape(-1, 6)
     state = Configuration(
         displacement_mm=parts[:, :3].copy(), quaternion=rot.exponential(parts[:, 3:])

@@ -1,80 +1,14 @@
 """Internal forces of :class:`corotational.Corotational` as one compiled loop over the elements.
 
-The same formulas in the same notation; what takes a tenth of a second in arrays takes a
-hundredth here, because an element stays in the processor's cache.
+Five times faster than the same formulas in arrays, because an element stays in the processor's
+cache.
 """
 
 import numpy as np
 
 from phytac_design.core.kernels import kernel
-from phytac_design.mechanics.large.corotational import FIT_STEPS, FIT_TOL, Configuration
 from phytac_design.mechanics.large.rotations import SMALL
-from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
-
-FITTED = -1
-"""What ``_internal`` gives where every element has its frame."""
-
-
-class ElementForces:
-    """Nodal forces that a deformed shell exerts; built once, called for many states.
-
-    Parameters
-    ----------
-    model : ShellModel
-        The shell: its mesh and section.
-    apart : slice, optional
-        Of these elements (e) alone, each with four nodes of its own: 4e nodes in their order.
-
-    Attributes
-    ----------
-    size : int
-        DOFs.
-    extent_mm : (e,) float
-        Mean distance of the elements' corners from their middle.
-    """
-
-    def __init__(self, model: ShellModel, *, apart: slice | None = None) -> None:
-        some = slice(None) if apart is None else apart
-        quads, self.size = model.quads[some], 6 * len(model.nodes_mm)
-        corner = model.nodes_mm[quads]
-        modulus, thickness = (
-            value if np.ndim(value) == 0 else value[some]
-            for value in (np.asarray(model.modulus_MPa), np.asarray(model.thickness_mm))
-        )
-        if apart is not None:
-            quads, self.size = np.arange(4 * len(quads)).reshape(-1, 4), 24 * len(quads)
-        self._quads = np.ascontiguousarray(quads, dtype=np.int64)
-        self._arms = np.ascontiguousarray(corner - corner.mean(axis=1, keepdims=True))
-        self._stiffness = np.ascontiguousarray(
-            model.elements.pick(some).combine(modulus_MPa=modulus, thickness_mm=thickness)
-        )
-        self.extent_mm = np.linalg.norm(self._arms, axis=2).mean(axis=1)
-
-    def internal(self, state: Configuration) -> FloatArray:
-        """Forces (N) and moments (N mm, on spins) that balance the elements, (6N,).
-
-        Raises
-        ------
-        NumericalError
-            If an element is so distorted that no frame fits it.
-        """
-        out = np.zeros((self.size // 6, 6))
-        loose = _internal(
-            self._quads,
-            self._arms,
-            self._stiffness,
-            np.ascontiguousarray(state.displacement_mm),
-            np.ascontiguousarray(state.quaternion),
-            out,
-        )
-        if loose != FITTED:
-            raise NumericalError(
-                "element-distorted",
-                f"element {loose} is distorted so that no rigid rotation fits it",
-            )
-        return out.ravel()
 
 
 @kernel
@@ -207,8 +141,11 @@ def _fit(
     work: FloatArray,
 ) -> bool:
     """Turn ``q`` (4,) until Σ P_a × ū_a = 0; leaves Rᵀ − 1 and ū of it. False if it does not."""
+    # Newton's method: three steps are common; the step after the last would be of the order of
+    # its square.
+    max_steps, tolerance_rad2 = 12, 1e-11
     inertia, turn, gap, step = work[0], work[1], work[2, 0], work[2, 1]
-    for _ in range(FIT_STEPS):
+    for _ in range(max_steps):
         _turn_back(q[0], q[1], q[2], q[3], back)
         _deformed(arms, moved, back, ubar)
         _inertia(arms, ubar, inertia)
@@ -226,7 +163,7 @@ def _fit(
         short = 1.0 if square <= 1.0 else 1.0 / np.sqrt(square)
         w, x, y, z = _exponential(short * step[0], short * step[1], short * step[2])
         q[0], q[1], q[2], q[3] = _product(q[0], q[1], q[2], q[3], w, x, y, z)
-        if square < FIT_TOL:
+        if square < tolerance_rad2:
             _turn_back(q[0], q[1], q[2], q[3], back)
             _deformed(arms, moved, back, ubar)
             return True
@@ -307,19 +244,24 @@ def _scatter(nodes: IntArray, back: FloatArray, force: FloatArray, out: FloatArr
 
 
 @kernel
-def _internal(
+def element_forces(
     quads: IntArray,
     arms: FloatArray,
     stiffness: FloatArray,
     displacement: FloatArray,
     quaternion: FloatArray,
-    out: FloatArray,
+    out: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> int:
-    """Add the elements' forces to ``out`` (N, 6); the element without a frame, or ``FITTED``."""
-    moved, ubar, back, q = np.empty((4, 3)), np.empty((4, 3)), np.empty((3, 3)), np.empty(4)
-    motion, force, work = np.empty(24), np.empty(24), np.empty((3, 3, 3))
+    """Add the elements' forces to nodes; the first element without a frame, or -1.
+
+    ``out`` is, to be filled: nodal forces (N, 6), zeros; per element its frame (E, 4), ū (E, 4, 3),
+    motion (ū, θ̄) and forces f̄ in the frame (E, 24).
+    """
+    nodal, frames, ubars, motions, forces = out
+    moved, back = np.empty((4, 3)), np.empty((3, 3))
+    force, work = np.empty(24), np.empty((3, 3, 3))
     for e in range(len(quads)):
-        nodes = quads[e]
+        nodes, q, ubar, motion = quads[e], frames[e], ubars[e], motions[e]
         _corners(nodes, displacement, moved)
         q[0], q[1], q[2], q[3] = _mean_rotation(nodes, quaternion)
         if not _fit(arms[e], moved, back, ubar, q, work):
@@ -329,9 +271,10 @@ def _internal(
             motion[b], motion[b + 1], motion[b + 2] = ubar[a, 0], ubar[a, 1], ubar[a, 2]
             _relative(q, quaternion[nodes[a]], motion[b + 3 : b + 6])
         _stored(stiffness[e], motion, force)
+        forces[e] = force
         for a in range(4):
             b = 6 * a + 3
             _spun(motion[b : b + 3], force[b : b + 3], work)
         _balance(arms[e], ubar, force, work)
-        _scatter(nodes, back, force, out)
-    return FITTED
+        _scatter(nodes, back, force, nodal)
+    return -1

@@ -8,13 +8,13 @@ disagrees the increment is halved; if shorter increments disagree too it is mark
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from phytac_design.mechanics.large.newton import (
     Control,
     Equilibrium,
-    Loading,
     NewtonStep,
     NotConvergedError,
     System,
@@ -68,7 +68,7 @@ def at_rest(system: System) -> Equilibrium:
 
 
 def solve_large(
-    model: ShellModel, loading: Loading, *, factors: Iterable[float] = (1.0,)
+    model: ShellModel, load: Any, *, factors: Iterable[float] = (1.0,)
 ) -> list[Equilibrium]:
     """Equilibria at the load factors ``factors``, in that order, under load control.
 
@@ -79,8 +79,8 @@ def solve_large(
     ----------
     model : ShellModel
         The shell.
-    loading : Loading
-        Forces, pressure and prescribed motion at λ = 1.
+    load : (6N,) float, dense or scipy.sparse
+        Dead nodal forces (N) and moments (N mm, fixed axes) at λ = 1.
     factors : iterable of float
         Load factors to stop at.
 
@@ -90,7 +90,7 @@ def solve_large(
         If an equilibrium is not found, e.g. past a limit load: the message says where the path
         ended and why.
     """
-    system = System(model, loading)
+    system = System(model, load)
     return visit(
         system,
         np.asarray(list(factors), dtype=np.float64),

@@ -48,19 +48,6 @@ SETTINGS = NewtonSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loading:
-    """The load at a load factor λ of 1.
-
-    Attributes
-    ----------
-    force : (6N,) float
-        Dead nodal forces (N) and moments (N mm, fixed axes).
-    """
-
-    force: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
 class Equilibrium:
     """A converged state.
 
@@ -140,14 +127,14 @@ class NotConvergedError(NumericalError):
 
 
 class System:
-    """Residual, tangent and linear solves of one shell under one loading.
+    """Residual, tangent and linear solves of one shell under one load.
 
     Parameters
     ----------
     model : ShellModel
         Mesh, section, supports.
-    loading : Loading
-        The load at λ = 1.
+    load : (6N,) float, dense or scipy.sparse
+        Dead nodal forces (N) and moments (N mm, fixed axes) at λ = 1.
 
     Raises
     ------
@@ -155,11 +142,11 @@ class System:
         If the load is not finite, has the wrong size, or is zero.
     """
 
-    def __init__(self, model: ShellModel, loading: Loading) -> None:
+    def __init__(self, model: ShellModel, load: Any) -> None:
         self.model = model
         self.shell = Corotational(model)
         size = model.fixed.size
-        self.force = dense_vector(loading.force, size, "force")
+        self.force = dense_vector(load, size)
         if not np.any(self.force):
             raise NumericalError("load-zero", f"the load is zero at all {size} DOFs; give a force")
         self.free = np.flatnonzero(~model.fixed.ravel())
@@ -223,13 +210,13 @@ class System:
         return float(np.linalg.norm(motion.ravel() / self.scale))
 
 
-def dense_vector(value: Any, size: int, label: str) -> FloatArray:
+def dense_vector(value: Any, size: int) -> FloatArray:
     """Array (size,) of a dense or sparse vector; raises if not finite or of another size."""
     dense = np.asarray(value.toarray() if hasattr(value, "toarray") else value, dtype=np.float64)
     if dense.size != size or not np.all(np.isfinite(dense)):
         raise NumericalError(
             "load-vector-invalid",
-            f"the {label} needs one finite value per DOF, {size} in all (got {dense.size}, "
+            f"the force needs one finite value per DOF, {size} in all (got {dense.size}, "
             f"{int(np.sum(~np.isfinite(dense)))} of them not finite)",
         )
     return dense.ravel().copy()
@@ -248,13 +235,8 @@ def increment(
         If neither method converges; the message holds the reason of the last.
     """
     if quick:
-        return _iterate(
-            system,
-            start,
-            control,
-            predict=True,
-            limit=min(SETTINGS.max_iterations_quick, SETTINGS.max_iterations),
-        )
+        limit = min(SETTINGS.max_iterations_quick, SETTINGS.max_iterations)
+        return _iterate(system, start, control, predict=True, limit=limit)
     try:
         return _iterate(system, start, control, predict=True)
     except NotConvergedError:
@@ -278,7 +260,7 @@ def _iterate(
     system.drop_factor()
     for iteration in range(limit + 1):
         local = _local_elements(system, state)
-        internal = system.shell.internal(local)
+        internal = local.nodal
         residual = internal - factor * system.force
         residual[system.model.fixed.ravel()] = 0.0
         nodal = max(system.size(internal), system.size(factor * system.force), 1e-300)
@@ -317,10 +299,8 @@ def _iterate(
         step = a + change * b
         turn = float(np.abs(step.reshape(-1, 6)[:, 3:]).max())
         if turn > SETTINGS.max_rotation_rad:
-            step, change = (
-                step * (SETTINGS.max_rotation_rad / turn),
-                change * (SETTINGS.max_rotation_rad / turn),
-            )
+            shorter = SETTINGS.max_rotation_rad / turn
+            step, change = shorter * step, shorter * change
         elif not predict and iteration:
             step, change = _line_search(system, state, factor, residual, (step, change))
         if predict:
@@ -357,7 +337,7 @@ def _line_search(
     for _ in range(SETTINGS.line_search_steps):
         try:
             there = state.moved(share * step)
-            after = system.shell.internal(_local_elements(system, there))
+            after = _local_elements(system, there).nodal
             after = after - (factor + share * change) * system.force
             work = float(step[system.free] @ after[system.free])
         except NotConvergedError:

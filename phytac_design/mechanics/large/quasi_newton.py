@@ -1,42 +1,40 @@
 r"""Large displacements by a quasi-Newton iteration with Anderson acceleration.
 
-It starts from Koiter's expansion (:mod:`estimate`), x₁ + x₂ + x₃; then ::
+It starts from Koiter's expansion, x₁ + x₂ + x₃ (:mod:`reference_configuration`); then ::
 
     g_k = K₀⁻¹ (f − f_int(x_k))        x_{k+1} = x_k + β g_k − Σ a_j (Δx_j + β Δg_j)
 
-where a minimises ‖g_k − Σ a_j Δg_j‖ in the norm of K₀ (:mod:`anderson`). With g = K₀⁻¹r that norm
-is √(g·r), and needs no product with K₀.
+where a minimises ‖g_k − Σ a_j Δg_j‖ in the norm of K₀ (Walker and Ni 2011). With g = K₀⁻¹r that
+norm is √(g·r), and needs no product with K₀.
 
-The lowest eigenvalue of K₀⁻¹K_t is estimated along with the iteration (:mod:`stability`), and the
-result is compared with the tangents at rest and at the result, as for every increment of
-:mod:`path`. :func:`path.solve_large` takes over where the iteration does not converge, the
-rotations are large, the lowest eigenvalue is small or the result deviates from the path.
+At the end the lowest eigenvalue of K₀⁻¹K_t is estimated (:mod:`stability`), and the result is
+compared with the tangents at rest and at the result, as for every increment of :mod:`load_path`.
+:func:`load_path.solve_large` takes over where the iteration does not converge, the rotations are
+large, the lowest eigenvalue is small or the result deviates from the path: it takes ten times as
+long.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
-from phytac_design.mechanics.large.anderson import AndersonAcceleration
-from phytac_design.mechanics.large.linear_error import (
-    LINEAR_ERROR_SAFETY,
-    DIFFERENCE_STEP_rad,
-    check_load_size,
-)
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Loading, NotConvergedError, dense_vector
-from phytac_design.mechanics.large.reference_configuration import ReferenceShell
+from phytac_design.mechanics.large.newton import NotConvergedError, dense_vector
+from phytac_design.mechanics.large.reference_configuration import Expansion, ReferenceShell
 from phytac_design.mechanics.large.stability import (
     PATH_DEVIATION_MAX,
-    LowestEigenvalue,
     path_deviation,
+    ritz_values,
 )
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
+
+LINEAR_ERROR_SAFETY = 1.5
+"""Linear theory is used where this times its estimated error is within the tolerance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,26 +45,29 @@ class QuasiNewtonSettings:
     """Error of the motion, over its peak, at which the iteration ends."""
     last_step_gain: float = 4.0
     """Factor by which the last step reduces the error at lowest; measured: 5 … 50."""
+    memory: int = 12
+    """Differences that the acceleration remembers."""
+    damping: float = 0.7
+    """β of all steps but the first: of 0.5 … 1 and rules that follow the stiffening, the one that
+    needed fewest steps on tubes, boxes and flat faces."""
     max_iterations: int = 40
     """Iterations before path following takes over; 1 … 9 are common, 30 on flat faces."""
     max_stalled_iterations: int = 12
     """Iterations without a smaller residual that end the attempt."""
     max_rotation_rad: float = 1.0
     """Largest rotation of a node, rad; the steps add rotation vectors."""
+    absurd_rotation_rad: float = 1e6
+    """Rotation by linear theory above which a load is rejected."""
     mild_error: float = 0.25
     """Error of linear theory up to which Koiter's expansion is the only start that is tried."""
-    max_series_ratio: float = 0.9
-    """Ratio of the expansion's terms above which their geometric series is not used."""
-    stability_residual: float = 0.05
-    """Residual (in the norm of K₀, over the linear motion) below which stability is monitored."""
     firm_eigenvalue: float = 0.3
     firm_products: int = 3
     """Lower bound of the lowest eigenvalue that is accepted after so many tangent products."""
     soft_eigenvalue: float = 0.05
     soft_products: int = 8
     """The same after more products; a softer shell is left to path following."""
-    max_final_products: int = 30
-    """Products at the end at most; together they cost less than one factorisation."""
+    max_products: int = 40
+    """Products at most; together they cost less than one factorisation."""
     approximate_residual: float = 1e-3
     max_approximate_residual: float = 5e-3
     """Residual (in the norm of K₀, over the linear motion) at which
@@ -78,8 +79,8 @@ SETTINGS = QuasiNewtonSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadCaseResult:
-    """One load case.
+class LoadCaseSolution:
+    """A load case solved.
 
     Attributes
     ----------
@@ -92,63 +93,56 @@ class LoadCaseResult:
         Translations (mm) and rotation vectors (rad).
     large : bool
         Whether large displacements were used.
-    """
-
-    status: Literal["ok", "flagged", "failed"]
-    reason: str
-    motion: FloatArray | None
-    large: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class LoadCaseSolution:
-    """A load case solved.
-
-    Attributes
-    ----------
-    sample : LoadCaseResult
-        Motion, its status and theory.
     error : float
         Estimated error of the translations over the greatest one, of theory (linear) and
         iteration; that of the mesh is not part of it. NaN without a motion.
-    linear_error : float
-        What :func:`estimate.check_linear` gives; inf where it gives nothing.
-    softest : float
+    lowest_eigenvalue : float
         Lowest Ritz value of K₀⁻¹K_t; NaN where path following took over.
     iterations : int
         Of the accelerated method.
     guarded : str
-        Why :func:`path.solve_large` took over; "" where it did not.
+        Why :func:`load_path.solve_large` took over; "" where it did not.
     """
 
-    sample: LoadCaseResult
+    status: Literal["ok", "flagged", "failed"] = "ok"
+    reason: str = ""
+    motion: FloatArray | None
+    large: bool
     error: float
-    linear_error: float = 0.0
     lowest_eigenvalue: float = float("nan")
     iterations: int = 0
     guarded: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Expansion:
-    """Motion (6N,) to third order, the force of the second term, and the lowest eigenvalue."""
+class AndersonAcceleration:
+    """Differences of the last steps, and the next step from them."""
 
-    first: FloatArray
-    second: FloatArray
-    third: FloatArray
-    second_force: FloatArray
-    error: float
-    stability: LowestEigenvalue
+    def __init__(self) -> None:
+        self._last: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._steps: list[tuple[FloatArray, FloatArray, FloatArray]] = []
 
+    def next(self, x: FloatArray, g: FloatArray, residual: FloatArray) -> FloatArray:
+        """Return the next motion.
 
-class Iteration(NamedTuple):
-    """An iteration: the motion (6N,) after it, and the residual and stability before it."""
-
-    number: int
-    motion: FloatArray
-    distance: float  # residual, in the norm of K₀, over the linear motion
-    lowest: float  # Ritz value of K₀⁻¹K_t
-    stability: LowestEigenvalue | None
+        Parameters
+        ----------
+        x, g, residual : (n,) float
+            The motion, K₀⁻¹r and the residual r there.
+        """
+        if self._last is not None:
+            step = tuple(new - old for new, old in zip((x, g, residual), self._last, strict=True))
+            self._steps = [*self._steps[1 - SETTINGS.memory :], step]  # type: ignore[list-item]
+        self._last = x, g, residual
+        if not self._steps:
+            return x + g
+        moves, changes, forces = (np.stack(part) for part in zip(*self._steps, strict=True))
+        table = changes @ forces.T
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(table), 1e-300))
+        # Directions of the memory that are the same to rounding are dropped.
+        scaled = scale[:, None] * table * scale
+        share = scale * np.linalg.lstsq(scaled, scale * (changes @ residual), rcond=1e-12)[0]
+        damping = SETTINGS.damping
+        return np.asarray(x + damping * g - share @ (moves + damping * changes))
 
 
 class QuasiNewtonSolver:
@@ -181,25 +175,20 @@ class QuasiNewtonSolver:
         with np.errstate(over="raise"):
             return np.asarray(self.model.solve(load).motion[:, :, 0].ravel())
 
-    def series(self, load: FloatArray, first: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Second and third term (6N,) of Koiter's expansion: f·x₁ + f²·x₂ + f³·x₃ under f loads.
+    def expand(self, load: Any, first: FloatArray | None = None) -> Expansion:
+        """Koiter's expansion for a load (6N,), with its linear motion (6N,) if that is known.
 
-        Parameters
-        ----------
-        load : (6N,) float
-            Nodal forces (N) and moments (N mm).
-        first : (6N,) float
-            x₁, of :meth:`linear`.
+        Costs two more solves with the factor at rest and four evaluations of internal forces.
 
         Raises
         ------
         NumericalError, ArithmeticError
-            If they cannot be found.
+            If the terms cannot be found.
         """
-        force = np.where(self._shell.held, 0.0, load)
+        force = dense_vector(load, self.model.fixed.size)
+        force[self._shell.held] = 0.0
         with np.errstate(over="raise", invalid="raise", divide="raise"):
-            expansion = self._expand(first, force)
-        return expansion.second, expansion.third
+            return self._shell.expand(self.linear(force) if first is None else first, force)
 
     def solve(
         self,
@@ -221,48 +210,27 @@ class QuasiNewtonSolver:
             Linear motion, where it is known already.
         """
         try:
-            force = dense_vector(load, self.model.fixed.size, "force")
+            force = dense_vector(load, self.model.fixed.size)
             force[self._shell.held] = 0.0
             if not np.any(force):
-                still = np.zeros(force.size)
-                return LoadCaseSolution(
-                    sample=_ok(still, large=False), error=0.0, lowest_eigenvalue=1.0
-                )
+                still = np.zeros((force.size // 6, 6))
+                return LoadCaseSolution(motion=still, large=False, error=0.0, lowest_eigenvalue=1.0)
             first = self.linear(force) if linear is None else linear
-            check_load_size(largest_rotation(first))
+            _refuse_absurd(first)
         except (ArithmeticError, MemoryError, NumericalError, np.linalg.LinAlgError) as error:
-            return _failed(error)
-        linear_error = float("inf")
+            return _failed(error, large=False)
         try:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
-                expansion = self._expand(first, force)
-                linear_error = expansion.error
-                if self._linear_suffices(expansion, tolerance):
-                    return LoadCaseSolution(
-                        sample=_ok(first, large=False),
-                        error=linear_error,
-                        linear_error=linear_error,
-                        lowest_eigenvalue=expansion.stability.lowest,
-                    )
+                expansion = self._shell.expand(first, force)
+                if tolerance is not None and LINEAR_ERROR_SAFETY * expansion.error <= tolerance:
+                    found = self._linear_if_stable(expansion)
+                    if found is not None:
+                        return found
                 return self._iterate(expansion, force)
         except (ArithmeticError, NumericalError, np.linalg.LinAlgError) as error:
-            return self._by_fallback(force, linear_error, str(error) or type(error).__name__)
+            return _by_path(self.model, force, _reason(error))
         except MemoryError as error:
-            return _failed(error)
-
-    def _linear_suffices(self, expansion: Expansion, tolerance: float | None) -> bool:
-        if tolerance is None or not LINEAR_ERROR_SAFETY * expansion.error <= tolerance:
-            return False
-        return expansion.stability.lower_bound >= SETTINGS.firm_eigenvalue
-
-    def _by_fallback(self, force: FloatArray, linear_error: float, reason: str) -> LoadCaseSolution:
-        sample = _by_path(self.model, force)
-        return LoadCaseSolution(
-            sample=sample,
-            error=SETTINGS.tolerance if sample.motion is not None else float("nan"),
-            linear_error=linear_error,
-            guarded=reason,
-        )
+            return _failed(error, large=False)
 
     def gap(self, load: FloatArray, motion: FloatArray, linear: FloatArray) -> float:
         """Distance of a motion from equilibrium, over the linear motion, in the norm of K₀.
@@ -282,7 +250,7 @@ class QuasiNewtonSolver:
             If an element is distorted beyond what it can describe.
         """
         residual = np.where(self._shell.held, 0.0, load) - self._shell.internal(motion)
-        g = self._shell.solve_reference(residual[:, None])[:, 0]
+        g = self._shell.solve_reference(residual)
         return float(np.sqrt(max(float(g @ residual), 0.0) / float(linear @ load)))
 
     def approximate(self, load: FloatArray, linear: FloatArray) -> FloatArray | None:
@@ -304,9 +272,9 @@ class QuasiNewtonSolver:
         lowest, nearest = np.inf, None
         try:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
-                for step in self.steps(self._expand(linear, force), force):
-                    if step.distance < lowest:
-                        lowest, nearest = step.distance, step.motion
+                for motion, distance in self._steps(self._shell.expand(linear, force), force):
+                    if distance < lowest:
+                        lowest, nearest = distance, motion
                     if lowest <= SETTINGS.approximate_residual:
                         break
         except NotConvergedError:
@@ -315,52 +283,27 @@ class QuasiNewtonSolver:
             return None
         return nearest if lowest <= SETTINGS.max_approximate_residual else None
 
-    def _expand(self, first: FloatArray, force: FloatArray) -> Expansion:
-        """Koiter's expansion, and the lowest eigenvalue of K₀ + K_σ(x₁)."""
-        shell = self._shell
-        e = DIFFERENCE_STEP_rad / shell.motion_size(first)
-        up, down = shell.internal(e * first), shell.internal(-e * first)
-        second_force, random = -(up + down) / (2.0 * e * e), shell.random_force(first)
-        second, softened = shell.solve_reference(np.stack([second_force, random], axis=1)).T.copy()
-        stability = LowestEigenvalue(softened, random)
-
-        def product(vector: FloatArray, image: FloatArray) -> FloatArray:
-            # The tangent at e·x₁ differs from K₀ by e times its derivative along x₁.
-            return image + (shell.tangent_product(e * first, up, vector) - image) / e
-
-        stability.measure(product)
-        aside = e * e * second
-        odd = (shell.internal(aside + e * first) - shell.internal(aside - e * first)) / 2.0
-        third = self._solve_and_refine(stability, -(odd - e * force) / e**3)
-        stability.measure(product)
-        off = float(_lengths(second + third).max())
-        return Expansion(
-            first=first,
-            second=second,
-            third=third,
-            second_force=second_force,
-            error=off / float(_lengths(first).max()),
-            stability=stability,
+    def _linear_if_stable(self, expansion: Expansion) -> LoadCaseSolution | None:
+        """Linear motion, unless buckling that its error does not show is near."""
+        product = self._shell.softened(expansion.first)
+        try:
+            lowest = self._lowest_eigenvalue(product, expansion, SETTINGS.firm_eigenvalue)
+        except NotConvergedError:
+            return None
+        return LoadCaseSolution(
+            motion=expansion.first.reshape(-1, 6),
+            large=False,
+            error=expansion.error,
+            lowest_eigenvalue=lowest,
         )
-
-    def _solve_and_refine(self, stability: LowestEigenvalue, right: FloatArray) -> FloatArray:
-        """K₀⁻¹ ``right``; the same solve refines the lowest eigenvalue."""
-        residual = stability.residual()
-        both = self._shell.solve_reference(np.stack([right, residual], axis=1))
-        stability.refine(both[:, 1].copy(), residual)
-        return both[:, 0].copy()
 
     def _start(self, expansion: Expansion, force: FloatArray) -> FloatArray:
         """The extrapolation with the smallest residual."""
-        first, second, third = expansion.first, expansion.second, expansion.third
-        found = [first + second + third]
+        first, more = expansion.first, expansion.second + expansion.third
+        found = [first + more]
         if expansion.error > SETTINGS.mild_error:
             found.append(first)
-            bent = float(second @ expansion.second_force)
-            ratio = float(third @ expansion.second_force) / bent if bent > 0.0 else 1.0
-            if ratio < SETTINGS.max_series_ratio:
-                found.append(first + second / (1.0 - ratio))
-            grown = float((second + third) @ force) / float(first @ force)
+            grown = float(more @ force) / float(first @ force)
             if grown < 0.0:
                 found.append(first / (1.0 - grown))
         found = [one for one in found if largest_rotation(one) <= SETTINGS.max_rotation_rad]
@@ -371,8 +314,10 @@ class QuasiNewtonSolver:
         gaps = [self._shell.force_norm(force - self._shell.internal(one)) for one in found]
         return found[int(np.argmin(gaps))]
 
-    def steps(self, expansion: Expansion, force: FloatArray) -> Iterator[Iteration]:
-        """Iterations from the expansion until the residual stalls.
+    def _steps(self, expansion: Expansion, force: FloatArray) -> Iterator[tuple[FloatArray, float]]:
+        """Motions (6N,) from the expansion on, until the residual stalls.
+
+        With each comes the residual before its step, in the norm of K₀, over the linear motion.
 
         Raises
         ------
@@ -382,33 +327,24 @@ class QuasiNewtonSolver:
         shell, history = self._shell, AndersonAcceleration()
         size = float(expansion.first @ force)
         x = self._start(expansion, force)
-        stability: LowestEigenvalue | None = None
-        lowest, damping = expansion.stability.lowest, 1.0
         best, best_at = np.inf, 0
         for number in range(1, SETTINGS.max_iterations + 1):
             if largest_rotation(x) > SETTINGS.max_rotation_rad:
                 raise NotConvergedError(
                     "quasi-newton-rotations-large", "the rotations are too large"
                 )
-            internal = shell.internal(x)
-            residual = force - internal
-            if stability is None:
-                g = shell.solve_reference(residual[:, None])[:, 0]
-            else:
-                self._measure(stability, x, internal)
-                lowest, damping = stability.lowest, damping_of(stability)
-                g = self._solve_and_refine(stability, residual)
+            residual = force - shell.internal(x)
+            g = shell.solve_reference(residual)
             distance = float(np.sqrt(max(float(g @ residual), 0.0) / size))
-            x = history.next(x, g, residual, damping)
+            x = history.next(x, g, residual)
             if distance < best:
                 best, best_at = distance, number
-            elif number - best_at > SETTINGS.max_stalled_iterations:
+            yield x, distance
+            if number - best_at > SETTINGS.max_stalled_iterations:
                 break
-            if stability is None and distance < SETTINGS.stability_residual:
-                stability = expansion.stability.restarted()
-            elif stability is not None and distance > 2.0 * SETTINGS.stability_residual:
-                stability = None
-            yield Iteration(number, x, distance, lowest, stability)
+        raise NotConvergedError(
+            "quasi-newton-stalled", f"the quasi-Newton iteration stalls at a residual of {best:.2g}"
+        )
 
     def _iterate(self, expansion: Expansion, force: FloatArray) -> LoadCaseSolution:
         """Large displacements from the expansion.
@@ -418,30 +354,23 @@ class QuasiNewtonSolver:
         NumericalError
             If the iteration does not converge, or its result may be unstable or off the path.
         """
-        best = np.inf
-        for step in self.steps(expansion, force):
-            best = min(best, step.distance)
-            gap = step.distance / max(step.lowest, SETTINGS.soft_eigenvalue)
-            if step.stability is not None and gap <= SETTINGS.last_step_gain * SETTINGS.tolerance:
+        lowest, error = SETTINGS.firm_eigenvalue, np.inf
+        for number, (motion, distance) in enumerate(self._steps(expansion, force), start=1):
+            # The residual is that of the motion times the eigenvalue along it.
+            if distance <= lowest * SETTINGS.last_step_gain * SETTINGS.tolerance:
+                lowest = self._check_stability(motion, expansion, force)
+                error = distance / (lowest * SETTINGS.last_step_gain)
+            if error <= SETTINGS.tolerance:
                 return LoadCaseSolution(
-                    sample=_ok(step.motion, large=True),
-                    error=gap / SETTINGS.last_step_gain,
-                    linear_error=expansion.error,
-                    lowest_eigenvalue=self._check_stability(
-                        step.motion, expansion, force, step.stability
-                    ),
-                    iterations=step.number,
+                    motion=motion.reshape(-1, 6),
+                    large=True,
+                    error=error,
+                    lowest_eigenvalue=lowest,
+                    iterations=number,
                 )
-        raise NotConvergedError(
-            "quasi-newton-stalled", f"the quasi-Newton iteration stalls at a residual of {best:.2g}"
-        )
+        raise AssertionError("the steps end with an error")
 
-    def _measure(self, stability: LowestEigenvalue, x: FloatArray, internal: FloatArray) -> None:
-        stability.measure(lambda vector, _: self._shell.tangent_product(x, internal, vector))
-
-    def _check_stability(
-        self, x: FloatArray, expansion: Expansion, force: FloatArray, stability: LowestEigenvalue
-    ) -> float:
+    def _check_stability(self, x: FloatArray, expansion: Expansion, force: FloatArray) -> float:
         """Lowest Ritz value at the result.
 
         Raises
@@ -451,49 +380,58 @@ class QuasiNewtonSolver:
         """
         shell, first = self._shell, expansion.first
         internal = shell.internal(x)
-        along = LowestEigenvalue(first, force)
-        along.extend(expansion.second, expansion.second_force)
-        along.extend(x, shell.reference_force(x))
-        self._measure(along, x, internal)
-        if not along.lowest >= SETTINGS.soft_eigenvalue:
+
+        def product(along: FloatArray) -> FloatArray:
+            return shell.tangent_product(x, internal, along)
+
+        # Motion per unit of load within the space of the expansion and the result.
+        basis = np.stack([first, expansion.second, x])
+        basis = np.linalg.svd(basis, full_matrices=False)[2]
+        table = basis @ np.stack([product(one) for one in basis]).T
+        rate = np.linalg.lstsq(0.5 * (table + table.T), basis @ force, rcond=1e-12)[0] @ basis
+        along = float(rate @ force) / float(rate @ shell.reference_force(rate))
+        if not along >= SETTINGS.soft_eigenvalue:
             raise NotConvergedError(
-                "quasi-newton-soft-mode", f"the shell is soft here (Ritz value {along.lowest:.2g})"
+                "quasi-newton-soft-mode", f"the shell is soft here (Ritz value {along:.2g})"
             )
-        ends = [_translations(one) for one in (x, first, along.rate(force))]
+        ends = [one.reshape(-1, 6)[:, :3] for one in (x, first, rate)]
         if path_deviation(ends[0], ends[1], ends[2]) > PATH_DEVIATION_MAX:
             raise NotConvergedError(
                 "quasi-newton-inconsistent",
                 "the result deviates from the tangents at rest and at the result",
             )
-        self._measure(stability, x, internal)
-        for _ in range(SETTINGS.max_final_products):
-            if stability.lowest < SETTINGS.soft_eigenvalue:
+        return min(along, self._lowest_eigenvalue(product, expansion, SETTINGS.soft_eigenvalue))
+
+    def _lowest_eigenvalue(
+        self, product: Callable[[FloatArray], FloatArray], expansion: Expansion, minimum: float
+    ) -> float:
+        """Lowest Ritz value of K₀⁻¹K_t, if its lower bound is at least ``minimum``.
+
+        Raises
+        ------
+        NotConvergedError
+            If it is lower.
+        """
+        force = self._shell.random_force(expansion.first)
+        value = np.inf
+        found = ritz_values(product, self._shell.solve_reference, force)
+        for count, (value, gap) in enumerate(found, start=1):
+            firm = count >= SETTINGS.firm_products and value - gap >= SETTINGS.firm_eigenvalue
+            if firm or (count >= SETTINGS.soft_products and value - gap >= minimum):
+                return value
+            if value < minimum or count >= SETTINGS.max_products:
                 break
-            firm = (
-                stability.lower_bound >= SETTINGS.firm_eigenvalue
-                and stability.products >= SETTINGS.firm_products
-            )
-            if firm or (
-                stability.lower_bound >= SETTINGS.soft_eigenvalue
-                and stability.products >= SETTINGS.soft_products
-            ):
-                return min(stability.lowest, along.lowest)
-            residual = stability.residual()
-            stability.refine(shell.solve_reference(residual[:, None])[:, 0], residual)
-            self._measure(stability, x, internal)
         raise NotConvergedError(
-            "quasi-newton-soft-mode",
-            f"the shell is soft here (lowest Ritz value {stability.lowest:.2g})",
+            "quasi-newton-soft-mode", f"the shell is soft here (lowest Ritz value {value:.2g})"
         )
 
 
-def _by_path(model: ShellModel, force: FloatArray) -> LoadCaseResult:
-    """Load case by the path-following Newton method; a failure is a sample with its reason."""
+def _by_path(model: ShellModel, force: FloatArray, guarded: str) -> LoadCaseSolution:
+    """Load case by the path-following Newton method; a failure is a result with its reason."""
     try:
-        end = solve_large(model, Loading(force=force))[0]
+        end = solve_large(model, force)[0]
     except (NumericalError, ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:
-        reason = str(error) or type(error).__name__
-        return LoadCaseResult(status="failed", reason=reason, motion=None, large=True)
+        return _failed(error, large=True, guarded=guarded)
     reasons = []
     if end.jumped:
         reasons.append("the solution left the path from rest: the shell may have snapped")
@@ -501,18 +439,24 @@ def _by_path(model: ShellModel, force: FloatArray) -> LoadCaseResult:
         reasons.append("its stability is unknown")
     elif not end.stable:
         reasons.append("unstable: the shell does not stay here under this load")
-    return LoadCaseResult(
+    return LoadCaseSolution(
         status="flagged" if reasons else "ok",
         reason="; ".join(reasons),
         motion=end.state.motion,
         large=True,
+        error=SETTINGS.tolerance,
+        guarded=guarded,
     )
 
 
-def damping_of(stability: LowestEigenvalue) -> float:
-    """Step length that suits the middle of the tangent's eigenvalues, where they spread widely."""
-    largest = stability.highest
-    return 1.0 if largest < 2.0 else 2.0 / (max(stability.lowest, 0.0) + largest)
+def _refuse_absurd(linear: FloatArray) -> None:
+    turned = largest_rotation(linear)
+    if not turned <= SETTINGS.absurd_rotation_rad:
+        raise NumericalError(
+            "load-too-large",
+            f"the load is absurd: linear theory turns the shell by {turned:.2g} rad; "
+            "check its unit",
+        )
 
 
 def largest_rotation(motion: FloatArray) -> float:
@@ -520,19 +464,16 @@ def largest_rotation(motion: FloatArray) -> float:
     return float(np.abs(motion.reshape(-1, 6)[:, 3:]).max())
 
 
-def _translations(motion: FloatArray) -> FloatArray:
-    return motion.reshape(-1, 6)[:, :3]
+def _reason(error: Exception) -> str:
+    return str(error) or type(error).__name__
 
 
-def _lengths(motion: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(_translations(motion), axis=1))
-
-
-def _ok(motion: FloatArray, *, large: bool) -> LoadCaseResult:
-    return LoadCaseResult(status="ok", reason="", motion=motion.reshape(-1, 6), large=large)
-
-
-def _failed(error: Exception) -> LoadCaseSolution:
-    reason = str(error) or type(error).__name__
-    sample = LoadCaseResult(status="failed", reason=reason, motion=None, large=False)
-    return LoadCaseSolution(sample=sample, error=float("nan"), linear_error=float("nan"))
+def _failed(error: Exception, *, large: bool, guarded: str = "") -> LoadCaseSolution:
+    return LoadCaseSolution(
+        status="failed",
+        reason=_reason(error),
+        motion=None,
+        large=large,
+        error=float("nan"),
+        guarded=guarded,
+    )

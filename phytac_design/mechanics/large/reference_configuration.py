@@ -1,20 +1,39 @@
-"""Forces and tangent products of a shell, and solves with its stiffness at rest."""
+"""A shell from its state at rest: forces, tangent products, solves, Koiter's expansion."""
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from phytac_design.mechanics.large import rotations as rot
-from phytac_design.mechanics.large.corotational import Configuration
-from phytac_design.mechanics.large.element_forces import ElementForces
-from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
+from phytac_design.mechanics.large.corotational import Configuration, Corotational
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-SINGLE_PRECISION_ERROR = 1e-3
-"""Error, in the norm of K₀, up to which a factor in single precision is used."""
-DIFFERENCE_ROTATION_rad = 1e-5
-"""Largest turn in the differences that stand for a product with the tangent, rad."""
-TINY = 1e-300
+
+@dataclass(frozen=True, kw_only=True)
+class Expansion:
+    """Terms (6N,) of the motion f·x₁ + f²·x₂ + f³·x₃ under f loads, and the relative error of x₁.
+
+    Attributes
+    ----------
+    first, second, third : (6N,) float
+        x₁, x₂, x₃: mm and rotation vectors.
+    error : float
+        Largest translation of x₂ + x₃ over that of x₁: how far linear theory is off. Shown within
+        a factor of 2 of the truth up to errors of 0.5 (``benchmarks/mechanics``); beyond, large
+        displacement is certain but the figure is not.
+    """
+
+    first: FloatArray
+    second: FloatArray
+    third: FloatArray
+
+    @property
+    def error(self) -> float:
+        """See the class."""
+        off = largest_translation(self.second + self.third)
+        return off / max(largest_translation(self.first), 1e-300)
 
 
 class ReferenceShell:
@@ -38,31 +57,11 @@ class ReferenceShell:
         self.model = model
         self.held: BoolArray = model.fixed.ravel()
         self._free: IntArray = np.flatnonzero(~self.held)
-        self._elastic = ElementForces(model)
+        self._elastic = Corotational(model)
         self._extent = float(np.ptp(model.nodes_mm, axis=0).max())
         self._random = np.zeros(model.fixed.size)
         self._random[self._free] = np.random.default_rng(0).normal(size=len(self._free))
         self._random[self._free] /= model.factor.scale
-        self._single: Any = None
-        self._single = self._single_precision_factor()
-
-    def _single_precision_factor(self) -> Any:
-        """Factor in single precision, read in half the time; None where it is too coarse.
-
-        A coarse K₀⁻¹ slows an iteration, but does not shift where it ends.
-        """
-        from scipy.sparse.linalg import splu
-
-        push, stirred = self._random, self.solve_reference(self._random[:, None])[:, 0]
-        try:
-            self._single = splu(self.model.factor.scaled.astype(np.float32), **SUPERLU)
-        except RuntimeError:
-            return None
-        off = self.solve_reference(push[:, None])[:, 0] - stirred
-        gap = float(np.sqrt(max(float(off @ self.reference_force(off)), 0.0)))
-        return (
-            self._single if gap <= SINGLE_PRECISION_ERROR * float(np.sqrt(stirred @ push)) else None
-        )
 
     def random_force(self, motion: FloatArray) -> FloatArray:
         """Random forces (6N,), the same each time, where the shell moves and turns most.
@@ -71,20 +70,14 @@ class ReferenceShell:
         """
         parts = motion.reshape(-1, 2, 3)
         square = np.sum(parts * parts, axis=2)
-        weight = np.sum(square / np.maximum(square.max(axis=0), TINY), axis=1)
+        weight = np.sum(square / np.maximum(square.max(axis=0), 1e-300), axis=1)
         return np.asarray(self._random * np.repeat(weight, 6))
 
     def solve_reference(self, forces: FloatArray) -> FloatArray:
-        """K₀⁻¹ times forces (6N, k), for iterations: in single precision where that suffices."""
+        """K₀⁻¹ times forces (6N,)."""
         factor = self.model.factor
-        right = factor.scale[:, None] * forces[self._free]
-        if self._single is None:
-            found = factor.backend.solve(right)
-        else:
-            size = np.maximum(np.abs(right).max(axis=0), TINY)
-            found = size * self._single.solve((right / size).astype(np.float32))
         out = np.zeros_like(forces)
-        out[self._free] = factor.scale[:, None] * found
+        out[self._free] = factor.scale * factor.backend.solve(factor.scale * forces[self._free])
         return out
 
     def reference_force(self, motion: FloatArray) -> FloatArray:
@@ -112,13 +105,46 @@ class ReferenceShell:
         self, motion: FloatArray, internal: FloatArray, along: FloatArray
     ) -> FloatArray:
         """Tangent at ``motion``, with the internal forces there, times spins ``along``."""
-        step = DIFFERENCE_ROTATION_rad / self.motion_size(along)
+        # Largest turn in the differences, rad: error and rounding both below 1e-5.
+        step = 1e-5 / self.motion_size(along)
         return (self._forces(_state(motion).moved(step * along)) - internal) / step
+
+    def expand(self, first: FloatArray, force: FloatArray) -> Expansion:
+        r"""Koiter's expansion, with the load factor as parameter, from linear motion and its load.
+
+        With the internal forces f_int(x) = K x + Q(x) + C(x) + …, quadratic and cubic parts taken
+        by central differences along x₁::
+
+            x₂ = −K⁻¹ Q(x₁)      x₃ = −K⁻¹ [cubic part of f_int(ε x₁ + ε² x₂)]
+        """
+        step, grown = self._difference_step(first)
+        aside = self.solve_reference(-(self.internal(step) + self.internal(-step)) / 2.0)
+        odd = (self.internal(aside + step) - self.internal(aside - step)) / 2.0
+        third = self.solve_reference(force / grown - odd)
+        return Expansion(first=first, second=grown**2 * aside, third=grown**3 * third)
+
+    def softened(self, first: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """Product with K₀ + K_σ(x₁), the tangent of linear buckling theory."""
+        step, grown = self._difference_step(first)
+        internal = self.internal(step)
+
+        def product(along: FloatArray) -> FloatArray:
+            image = self.reference_force(along)
+            change = self.tangent_product(step, internal, along) - image
+            return np.asarray(image + grown * change)
+
+        return product
+
+    def _difference_step(self, first: FloatArray) -> tuple[FloatArray, float]:
+        """A short motion along x₁, and x₁ over it."""
+        # Its largest rotation, or translation over the shell's size, is 0.01.
+        grown = self.motion_size(first) / 0.01
+        return first / grown, grown
 
     def motion_size(self, motion: FloatArray) -> float:
         """Largest rotation (rad), or translation over the shell's size."""
         parts = np.abs(motion.reshape(-1, 6))
-        return max(float(parts[:, 3:].max()), float(parts[:, :3].max()) / self._extent, TINY)
+        return max(float(parts[:, 3:].max()), float(parts[:, :3].max()) / self._extent, 1e-300)
 
     def force_norm(self, force: FloatArray) -> float:
         """Norm of forces, scaled so that forces and moments compare."""
@@ -130,3 +156,8 @@ def _state(motion: FloatArray) -> Configuration:
     return Configuration(
         displacement_mm=parts[:, :3].copy(), quaternion=rot.exponential(parts[:, 3:])
     )
+
+
+def largest_translation(motion: FloatArray) -> float:
+    """Largest translation of a node, mm."""
+    return float(np.linalg.norm(motion.reshape(-1, 6)[:, :3], axis=1).max())

@@ -80,18 +80,6 @@ def matrix(q: FloatArray) -> FloatArray:
     return deviation(q) + np.eye(3)
 
 
-def best_fit(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Quaternions (E, 4) that turn points ``before`` (E, k, 3) best onto ``after`` (Horn 1987)."""
-    S = np.einsum("eki,ekj->eij", before, after)
-    trace = np.trace(S, axis1=1, axis2=2)
-    z = np.stack([S[:, 1, 2] - S[:, 2, 1], S[:, 2, 0] - S[:, 0, 2], S[:, 0, 1] - S[:, 1, 0]], -1)
-    N = np.zeros((len(S), 4, 4))
-    N[:, 0, 0], N[:, 0, 1:], N[:, 1:, 0] = trace, z, z
-    N[:, 1:, 1:] = S + np.swapaxes(S, 1, 2) - trace[:, None, None] * np.eye(3)
-    N[~np.all(np.isfinite(N), axis=(1, 2))] = 0.0
-    return np.asarray(np.linalg.eigh(N)[1][:, :, 3])
-
-
 def spin_to_vector(theta: FloatArray) -> FloatArray:
     """H (..., 3, 3): change of the rotation vector per spin ω, where δR = spin(ω) R.
 

@@ -19,7 +19,7 @@ Two measures of stability:
   eigenvalue or within a few hundredths of it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -30,19 +30,13 @@ from phytac_shapes.arrays import FloatArray
 PATH_DEVIATION_MAX = 0.5
 """Largest deviation of an increment from the tangents at its ends, over its motion, on one smooth
 path; the trapezoidal rule is far better on the smooth paths tried."""
-FACTOR_RESIDUAL_MAX = 1e-6
-"""Largest residual of a solve with unpivoted factors whose pivot signs are used."""
-INDEPENDENT_SHARE = 1e-8
-"""Share of a vector that must remain when its part in the basis is subtracted."""
-ROWS_ADDED = 8
-"""Vectors by which the storage grows at a time."""
 
 
 def negative_pivots(factor: Any, matrix: Any) -> int | None:
     """Negative eigenvalues of a (nearly) symmetric matrix, from the signs of its pivots.
 
     Where partial pivoting left the diagonal, the symmetric part is factored again without it; that
-    factor is used only if it solves a system to ``FACTOR_RESIDUAL_MAX``.
+    factor is used only if it solves a system to 1e-6.
 
     Parameters
     ----------
@@ -67,7 +61,7 @@ def negative_pivots(factor: Any, matrix: Any) -> int | None:
         right = symmetric @ np.ones(symmetric.shape[0])
         gap = symmetric @ factor.solve(right) - right
         diagonal = np.array_equal(factor.perm_r, factor.perm_c)
-        if not (diagonal and np.linalg.norm(gap) <= FACTOR_RESIDUAL_MAX * np.linalg.norm(right)):
+        if not (diagonal and np.linalg.norm(gap) <= 1e-6 * np.linalg.norm(right)):
             return None
     return int(np.sum(factor.U.diagonal() < 0.0))
 
@@ -92,101 +86,37 @@ def path_deviation(moved: FloatArray, before: FloatArray, after: FloatArray) -> 
     return float(np.linalg.norm(moved - rule)) / scale
 
 
-class LowestEigenvalue:
-    """Rayleigh and Ritz's procedure on the tangent, in the norm of the stiffness at rest.
+def ritz_values(
+    product: Callable[[FloatArray], FloatArray],
+    solve: Callable[[FloatArray], FloatArray],
+    force: FloatArray,
+) -> Iterator[tuple[float, float]]:
+    """Lowest Ritz value of K₀⁻¹K_t, after each product, and its distance from an eigenvalue.
 
     Parameters
     ----------
-    vector, image : (n,) float
-        First vector of the basis, and K₀ times it.
-
-    Attributes
-    ----------
-    gap : float
-        ‖K₀⁻¹K_t v − θ v‖ of the lowest pair (θ, v) at its last refinement: there is an
-        eigenvalue within it of θ, in most cases the lowest.
+    product : callable
+        K_t times a vector (n,).
+    solve : callable
+        K₀⁻¹ times a vector (n,).
+    force : (n,) float
+        Random forces: K₀⁻¹ of them is the first vector.
     """
-
-    def __init__(self, vector: FloatArray, image: FloatArray) -> None:
-        # Vectors q, images K₀ q, products K_t q, one per row.
-        self._rows = np.empty((3, 0, len(vector)))
-        self._count = self._known = 0
-        self._table = np.zeros((0, 0))
-        self.gap = np.inf
-        self.extend(vector, image)
-
-    def extend(self, vector: FloatArray, image: FloatArray) -> None:
-        """Add a vector and its image to the basis, unless it contains them already."""
-        before = float(vector @ image)
-        vectors, images = self._rows[0, : self._count], self._rows[1, : self._count]
+    vectors = images = products = np.empty((0, len(force)))
+    vector, image = solve(force), force
+    while True:
         for _ in range(2):
             share = images @ vector
             vector, image = vector - share @ vectors, image - share @ images
-        left = float(vector @ image)
-        if not left > INDEPENDENT_SHARE * INDEPENDENT_SHARE * before:
+        size = float(np.sqrt(max(float(vector @ image), 0.0)))
+        if not size > 0.0:
             return
-        if self._count == self._rows.shape[1]:
-            grown = np.empty((3, self._count + ROWS_ADDED, len(vector)))
-            grown[:, : self._count] = self._rows
-            self._rows = grown
-        self._rows[0, self._count] = vector / np.sqrt(left)
-        self._rows[1, self._count] = image / np.sqrt(left)
-        self._count += 1
-
-    def measure(self, product: Callable[[FloatArray, FloatArray], FloatArray]) -> None:
-        """Form the products still missing: ``product(q, K₀ q)`` gives K_t q."""
-        for k in range(self._known, self._count):
-            vector, image, out = self._rows[:, k]
-            out[:] = product(vector, image)
-            known = self._rows[:, : k + 1]
-            # The tangent is symmetric but for rounding and moments of fixed axes.
-            line = 0.5 * (known[0] @ out + known[2] @ vector)
-            table = np.empty((k + 1, k + 1))
-            table[:k, :k] = self._table
-            table[k], table[:, k] = line, line
-            self._table, self._known = table, k + 1
-
-    @property
-    def lowest(self) -> float:
-        """Lowest Ritz value."""
-        return float(np.linalg.eigvalsh(self._table)[0])
-
-    @property
-    def highest(self) -> float:
-        """Largest Ritz value."""
-        return float(np.linalg.eigvalsh(self._table)[-1])
-
-    @property
-    def lower_bound(self) -> float:
-        """Lowest Ritz value less the residual's length."""
-        return self.lowest - self.gap
-
-    @property
-    def products(self) -> int:
-        """Products formed."""
-        return self._known
-
-    def restarted(self) -> "LowestEigenvalue":
-        """The same basis without its products, for another tangent."""
-        out = LowestEigenvalue(self._rows[0, 0], self._rows[1, 0])
-        for vector, image in zip(*self._rows[:2, 1 : self._count], strict=True):
-            out.extend(vector, image)
-        return out
-
-    def residual(self) -> FloatArray:
-        """K_t v − θ K₀ v of the lowest pair."""
-        image, product = self._share() @ self._rows[1:, : self._known]
-        return np.asarray(product - self.lowest * image)
-
-    def refine(self, vector: FloatArray, image: FloatArray) -> None:
-        """Add K₀⁻¹ of the residual, and keep its length."""
-        self.gap = float(np.sqrt(max(float(vector @ image), 0.0)))
-        self.extend(vector, image)
-
-    def rate(self, force: FloatArray) -> FloatArray:
-        """Motion per unit of load, K_t⁻¹ force, within the basis."""
-        known = self._rows[0, : self._known]
-        return np.asarray(np.linalg.solve(self._table, known @ force) @ known)
-
-    def _share(self) -> FloatArray:
-        return np.asarray(np.linalg.eigh(self._table)[1][:, 0])
+        vector, image = vector / size, image / size
+        vectors, images = np.vstack([vectors, vector]), np.vstack([images, image])
+        products = np.vstack([products, product(vector)])
+        # The tangent is symmetric but for rounding and moments of fixed axes.
+        table = vectors @ products.T
+        values, shares = np.linalg.eigh(0.5 * (table + table.T))
+        image = shares[:, 0] @ (products - values[0] * images)
+        vector = solve(image)
+        yield float(values[0]), float(np.sqrt(max(float(vector @ image), 0.0)))

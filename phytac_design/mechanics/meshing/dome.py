@@ -17,13 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.quad_grid import (
-    EDGE_FRACTION,
-    MAX_TURN,
-    QuadGrid,
-    limited,
-    place,
-)
+from phytac_design.mechanics.meshing import quad_grid
+from phytac_design.mechanics.meshing.quad_grid import QuadGrid, limited, place
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
@@ -160,6 +155,8 @@ def _rings(
     here = np.linspace(start, s[-1], 1025)
     across = 2.0 * np.pi * np.interp(here, s, width) / count
     bend = np.maximum(np.interp(here, s, np.gradient(turn, s)), 1e-12)
-    size = np.minimum(np.maximum(across, across.max() / SETTINGS.max_aspect), MAX_TURN / bend)
-    size[-1] *= EDGE_FRACTION
+    limits = quad_grid.SETTINGS
+    size = np.maximum(across, across.max() / SETTINGS.max_aspect)
+    size = np.minimum(size, limits.max_turn_rad / bend)
+    size[-1] *= limits.edge_fraction
     return place(here, limited(here, size))

@@ -19,8 +19,6 @@ from phytac_shapes.errors import DesignError
 
 MATCH_TOL = 1e-6
 """Rows closer than this, as a share of the domain, are one line."""
-RIM_REFINE = 2
-"""Elements along are this much shorter next to the rims, where clamped edges bend sharply."""
 
 
 def lattice_grid(surface: Surface, lattice: Lattice, refine: int) -> tuple[QuadGrid, IntArray]:
@@ -95,7 +93,7 @@ def _lines(
     length = np.diff(stops) * np.sqrt(metric[:, 0, 0])
     width = pitch * np.sqrt(metric[:, 1, 1])
     counts = np.maximum(1, np.rint(length / width)).astype(np.int64)
-    counts[[0, -1]] *= RIM_REFINE
+    counts[[0, -1]] *= 2  # clamped edges bend sharply
     marks = np.concatenate([[0], np.cumsum(counts)])
     at = np.arange(marks[-1] + 1)
     u = np.interp(at, marks, stops)

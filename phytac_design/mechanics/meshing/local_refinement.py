@@ -2,13 +2,9 @@
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.quad_grid import CROSS_LINES, SAMPLES, limited, place
+from phytac_design.mechanics.meshing.quad_grid import SETTINGS, limited, place
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
-
-COARSEST = 2.5
-"""Element size far from the part, over that of the fine mesh there. On a tube pressed in its middle
-the tips are then off as on the mesh that is fine all over; at 3 twice, at 4 four times as much."""
 
 
 def thinned_lines(
@@ -37,7 +33,7 @@ def thinned_lines(
     """
     low, high = surface.domain[axis]
     period = float(high - low) if surface.periodic[axis] else np.inf
-    x = np.linspace(low, high, SAMPLES)
+    x = np.linspace(low, high, SETTINGS.samples)
     spacing = np.interp(x, (lines[1:] + lines[:-1]) / 2.0, np.diff(lines))
     start, end = part
     if start > end:
@@ -50,14 +46,17 @@ def thinned_lines(
         ],
         axis=0,
     )
+    # Element size far from the part over that of the fine mesh. On a tube pressed in its middle the
+    # tips are then off as on the mesh that is fine all over; at 3 twice, at 4 four times as much.
+    coarsest = 2.5
     near = beyond * _shortest(surface, axis, x) <= margin_mm
-    return place(x, limited(x, np.where(near, 1.0, COARSEST) * spacing, period))
+    return place(x, limited(x, np.where(near, 1.0, coarsest) * spacing, period))
 
 
 def _shortest(surface: Surface, axis: int, x: FloatArray) -> float:
     """Least length per unit of the chart along ``axis``, mm."""
     low, high = surface.domain[1 - axis]
-    other = np.linspace(low, high, CROSS_LINES)
+    other = np.linspace(low, high, SETTINGS.cross_lines)
     uv = np.zeros((len(other), len(x), 2))
     uv[..., axis], uv[..., 1 - axis] = x, other[:, None]
     metric = surface.metric(uv.reshape(-1, 2))[:, axis, axis]

@@ -35,18 +35,6 @@ class LocateSettings:
 SETTINGS = LocateSettings()
 
 
-def element_uv(mesh: ShellMesh) -> FloatArray:
-    """Chart corners of every element, (E, 4, 2), unwrapped: no element jumps over the seam.
-
-    Of use on tubes and sheets; next to a pole chart coordinates are no measure of place.
-    """
-    uv = mesh.uv[mesh.quads]
-    if np.isfinite(mesh.period_v):
-        turn = (uv[:, :, 1] - uv[:, :1, 1]) / mesh.period_v
-        uv[:, :, 1] -= mesh.period_v * np.rint(turn)
-    return np.asarray(uv)
-
-
 def locate(
     mesh: ShellMesh, uv: FloatArray, surface: Surface | None = None
 ) -> tuple[IntArray, FloatArray]:

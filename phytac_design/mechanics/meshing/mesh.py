@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.layout import Lattice, Markers
+from phytac_design.mechanics.meshing import quad_grid
 from phytac_design.mechanics.meshing.dome import dome_grid
 from phytac_design.mechanics.meshing.lattice_mesh import MATCH_TOL, lattice_grid, shifted_grid
 from phytac_design.mechanics.meshing.quad_grid import (
     EDGE_NAMES,
-    MAX_TURN,
     QuadGrid,
     axis_lines,
     product_grid,
@@ -24,19 +24,25 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-MIN_SCALED_JACOBIAN = 0.35
-"""Scaled Jacobian that a mesh moved onto markers must keep in every element."""
-MIN_SIDE_SHARE = 0.05
-"""Share of its length that a side of an element must keep when nodes move onto markers."""
-MAX_ATTEMPTS = 6
-"""Meshes tried for markers that are no lattice."""
-REFINEMENT = 0.8
-"""Element size of each try over that of the one before."""
-MIN_ELEMENTS_ACROSS = 8
-"""Elements across a surface at least, taken as a square of its area."""
-MAX_TURN_OVER_MEAN = 1.5
-"""A tube bends unevenly where an element turns this much more than the mean element around."""
 
+@dataclass(frozen=True, kw_only=True)
+class MeshSettings:
+    """What a mesh with a node on every marker must keep."""
+
+    min_scaled_jacobian: float = 0.35
+    """Of every element, when nodes move onto markers."""
+    min_side_share: float = 0.05
+    """Of its length, that a side of an element keeps when nodes move onto markers."""
+    max_attempts: int = 6
+    refinement: float = 0.8
+    """Meshes tried for markers that are no lattice; element size of each over the one before."""
+    min_elements_across: int = 8
+    """Across a surface, taken as a square of its area."""
+    max_turn_over_mean: float = 1.5
+    """A tube bends unevenly where an element turns so much more than the mean element around."""
+
+
+SETTINGS = MeshSettings()
 R = np.array([-1.0, 1.0, 1.0, -1.0])
 S = np.array([-1.0, -1.0, 1.0, 1.0])
 """Coordinates (r, s) of an element's corners, in the order of its nodes."""
@@ -102,7 +108,7 @@ def marker_mesh(
 
     A lattice on a tube gives a structured mesh. Other markers, and other surfaces, start from a
     mesh without them; then the nearest nodes move onto the markers and the others follow. Where
-    that distorts an element (scaled Jacobian below ``MIN_SCALED_JACOBIAN``) the mesh is made finer.
+    that distorts an element (scaled Jacobian below that of ``SETTINGS``) the mesh is made finer.
 
     Parameters
     ----------
@@ -147,7 +153,7 @@ def marker_mesh(
 def marker_size_mm(surface: Surface, count: int, refine: int) -> float:
     """Element size, mm: ``refine`` elements per √(area / count), and a few across at least."""
     area = surface.area_mm2()
-    return float(min(np.sqrt(area / count) / refine, np.sqrt(area) / MIN_ELEMENTS_ACROSS))
+    return float(min(np.sqrt(area / count) / refine, np.sqrt(area) / SETTINGS.min_elements_across))
 
 
 def node_mesh(
@@ -156,8 +162,7 @@ def node_mesh(
     """Mesh of any surface with a node, in ``marker_nodes``, at each chart position (n, 2).
 
     Elements are of ``size_mm`` as in :func:`plain_mesh`, or smaller where it takes that to keep
-    them sound (scaled Jacobian of ``MIN_SCALED_JACOBIAN`` and ``MIN_SIDE_SHARE`` of each side at
-    least).
+    them sound (:class:`MeshSettings`).
 
     Raises
     ------
@@ -166,7 +171,7 @@ def node_mesh(
     """
     _check(surface, thickness_mm)
     size, best, kept = size_mm, 0.0, 0.0
-    for _ in range(MAX_ATTEMPTS):
+    for _ in range(SETTINGS.max_attempts):
         grid = _grid(surface, thickness_mm, size, through=_product_lines(uv))
         moved = snap(surface, grid, uv, offset_mm=-thickness_mm / 2.0)
         if moved is not None:
@@ -175,18 +180,17 @@ def node_mesh(
             mesh = _shell(surface, grid, thickness_mm, moved[1])
             minimum = float(mesh.scaled_jacobian().min())
             kept = float((_sides(mesh.nodes_mm, grid.quads) / before).min())
-            if minimum >= MIN_SCALED_JACOBIAN and kept >= MIN_SIDE_SHARE:
+            if minimum >= SETTINGS.min_scaled_jacobian and kept >= SETTINGS.min_side_share:
                 return mesh
             best = max(best, minimum)
-        size *= REFINEMENT
+        size *= SETTINGS.refinement
     i, j, gap = _closest(surface.point(uv))
     raise DesignError(
         "mesh-quality-too-low",
         f"mesh: no sound mesh has a node on every marker (best scaled Jacobian {best:.2f}, sides "
-        f"kept to {kept:.2g}; needs {MIN_SCALED_JACOBIAN} and {MIN_SIDE_SHARE}; elements down to "
-        f"{size / REFINEMENT:.3g} mm); markers {i} and {j} are the closest ({gap:.3g} mm apart): "
-        "move "
-        "markers apart and off the rims, or raise refine",
+        f"kept to {kept:.2g}; needs {SETTINGS.min_scaled_jacobian} and {SETTINGS.min_side_share}; "
+        f"elements down to {size / SETTINGS.refinement:.3g} mm); markers {i} and {j} are the "
+        f"closest ({gap:.3g} mm apart): move markers apart and off the rims, or raise refine",
     )
 
 
@@ -295,7 +299,9 @@ def _bends_unevenly(surface: Surface, grid: QuadGrid) -> bool:
     ahead = normal[np.roll(grid.quads, -1, axis=1)[:, [0, 2]]]
     turn = np.linalg.norm(ahead - normal[grid.quads[:, [0, 2]]], axis=2)
     mean = 2.0 * np.pi / (grid.around or 1)
-    return bool(turn.max() > max(1.5 * MAX_TURN, MAX_TURN_OVER_MEAN * mean))
+    return bool(
+        turn.max() > max(1.5 * quad_grid.SETTINGS.max_turn_rad, SETTINGS.max_turn_over_mean * mean)
+    )
 
 
 def _sides(nodes_mm: FloatArray, quads: IntArray) -> FloatArray:

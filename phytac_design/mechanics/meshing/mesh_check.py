@@ -22,8 +22,8 @@ def check_quads(quads: IntArray, node_count: int) -> None:
     Raises
     ------
     NumericalError
-        If there is no element, a corner is no node, an element has a corner twice or is there
-        twice, an edge belongs to more than two elements, or neighbours face opposite ways.
+        If there is no element, a corner is no node, an edge belongs to more than two elements, or
+        neighbours face opposite ways.
     """
     if quads.ndim != 2 or quads.shape[1:] != (4,) or not len(quads):
         raise NumericalError(
@@ -37,39 +37,23 @@ def check_quads(quads: IntArray, node_count: int) -> None:
             f"mesh: an element refers to node {quads.max() if quads.min() >= 0 else quads.min()}, "
             f"but nodes run from 0 to {node_count - 1}; correct the numbering",
         )
-    corners = np.sort(quads, axis=1)
-    _refuse(
-        np.any(corners[:, 1:] == corners[:, :-1], axis=1),
-        "element-degenerate",
-        "element {where} has a node at two corners ({count} in all); split it into quads or merge "
-        "it with a neighbour",
-    )
-    repeated = np.ones(len(quads), dtype=np.bool_)
-    repeated[np.unique(corners, axis=0, return_index=True)[1]] = False
-    _refuse(
-        repeated,
-        "mesh-element-duplicate",
-        "element {where} lies on the nodes of another one ({count} such in all); remove the "
-        "duplicate",
-    )
     start, end = quads.ravel(), np.roll(quads, -1, axis=1).ravel()
     ends = np.sort(np.stack([start, end], axis=1), axis=1)
     edges, slot, uses = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
     _refuse(
         uses > 2,
         "mesh-edge-overused",
-        "edge {where} belongs to {uses} elements ({count} such edges in all); a shell has one or "
-        "two at an edge: remove inner walls or double layers",
+        "edge {where} belongs to more than two elements ({count} such edges in all): remove inner "
+        "walls and elements that are there twice",
         edges,
-        uses,
     )
     # Neighbours that face the same way run along their common edge in opposite directions.
     runs = np.bincount(slot.ravel(), weights=np.where(start < end, 1.0, -1.0))
     _refuse(
         (uses == 2) & (np.abs(runs) > 1.0),
         "mesh-orientation-mixed",
-        "two elements face opposite ways across edge {where} ({count} such edges in all); reverse "
-        "the corners of one side",
+        "two elements face opposite ways across edge {where}, or lie on one another ({count} such "
+        "edges in all); reverse the corners of one side, or remove it",
         edges,
     )
 
@@ -110,18 +94,9 @@ def check_directors(nodes_mm: FloatArray, quads: IntArray, directors: FloatArray
     )
 
 
-def _refuse(
-    bad: BoolArray,
-    code: str,
-    message: str,
-    edges: IntArray | None = None,
-    uses: IntArray | None = None,
-) -> None:
+def _refuse(bad: BoolArray, code: str, message: str, edges: IntArray | None = None) -> None:
     """Raise for the first bad element, or edge (k, 2), if there is one."""
     if np.any(bad):
         at = int(np.argmax(bad))
         where = at if edges is None else "-".join(map(str, edges[at]))
-        text = message.format(
-            where=where, count=int(np.sum(bad)), uses=0 if uses is None else uses[at]
-        )
-        raise NumericalError(code, f"mesh: {text}")
+        raise NumericalError(code, f"mesh: {message.format(where=where, count=int(np.sum(bad)))}")

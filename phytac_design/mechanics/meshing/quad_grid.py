@@ -14,16 +14,25 @@ from phytac_shapes.arrays import FloatArray, IntArray
 
 EDGE_NAMES = {(0, 0): "BOTTOM", (0, 1): "TOP", (1, 0): "LEFT", (1, 1): "RIGHT"}
 """Node set of each open edge (axis, end) of the chart."""
-MAX_TURN = np.radians(20.0)
-"""Largest angle between the normals at the ends of an element's side."""
-GROWTH = 0.3
-"""Largest change of the element size per length along a line."""
-EDGE_FRACTION = 0.5
-"""Element length next to an open edge, where clamped shells bend sharply, over that inside."""
-SAMPLES = 1025
-"""Stations along an axis at which lengths and turns are taken."""
-CROSS_LINES = 9
-"""Lines along each axis that are sampled."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridSettings:
+    """Size field of a grid."""
+
+    max_turn_rad: float = float(np.radians(20.0))
+    """Largest angle between the normals at the ends of an element's side."""
+    growth: float = 0.3
+    """Largest change of the element size per length along a line."""
+    edge_fraction: float = 0.5
+    """Element length next to an open edge, where clamped shells bend sharply, over that inside."""
+    samples: int = 1025
+    """Stations along an axis at which lengths and turns are taken."""
+    cross_lines: int = 9
+    """Lines along each axis that are sampled."""
+
+
+SETTINGS = GridSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,23 +98,23 @@ def axis_lines(
     through : (k,) float, optional
         Positions that must be lines.
     """
-    x = np.linspace(surface.domain[axis, 0], surface.domain[axis, 1], SAMPLES)
+    x = np.linspace(surface.domain[axis, 0], surface.domain[axis, 1], SETTINGS.samples)
     length, turn = _steps(surface, axis, x, offset_mm)
-    rate = np.maximum(length / size_mm, turn / MAX_TURN) / (x[1] - x[0])
+    rate = np.maximum(length / size_mm, turn / SETTINGS.max_turn_rad) / (x[1] - x[0])
     size = 1.0 / np.maximum(rate, 1e-300)  # in chart units
     here = np.concatenate([size[:1], np.minimum(size[1:], size[:-1]), size[-1:]])
     open_ends = [end for side, end in surface.edges() if side == axis]
     for end in open_ends:
-        here[-end] *= EDGE_FRACTION
+        here[-end] *= SETTINGS.edge_fraction
     period = x[-1] - x[0] if surface.periodic[axis] else np.inf
     return place(x, limited(x, here, period), through)
 
 
 def limited(x: FloatArray, size: FloatArray, period: float = np.inf) -> FloatArray:
-    """Size field (n,) at stations x (n,), cut so that it grows by ``GROWTH`` per length at most."""
+    """Size field (n,) at stations x (n,), cut so that it grows by 0.3 per length at most."""
     gap = np.abs(x[:, None] - x)
     gap = np.minimum(gap, np.abs(period - gap))
-    return np.asarray(np.min(size + GROWTH * gap, axis=1))
+    return np.asarray(np.min(size + SETTINGS.growth * gap, axis=1))
 
 
 def place(x: FloatArray, size: FloatArray, through: FloatArray | None = None) -> FloatArray:
@@ -132,7 +141,7 @@ def _steps(
 ) -> tuple[FloatArray, FloatArray]:
     """Length (mm) and turn of the normal (rad) between stations, the largest of all lines."""
     low, high = surface.domain[1 - axis]
-    other = np.linspace(low, high, CROSS_LINES)
+    other = np.linspace(low, high, SETTINGS.cross_lines)
     uv = np.zeros((len(other), len(x), 2))
     uv[..., axis], uv[..., 1 - axis] = x, other[:, None]
     flat = uv.reshape(-1, 2)

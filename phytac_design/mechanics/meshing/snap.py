@@ -8,11 +8,6 @@ from phytac_design.mechanics.meshing.quad_grid import EDGE_NAMES, QuadGrid
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-CANDIDATES = 12
-"""Nodes that a marker may take, nearest first."""
-EDGE_TOL = 1e-9
-"""A marker this close to an open edge, as a share of the domain, takes a node of that edge."""
-
 
 def snap(
     surface: Surface, grid: QuadGrid, marker_uv: FloatArray, *, offset_mm: float
@@ -86,7 +81,7 @@ def _match(
     pools: list[IntArray] = []
     for k, (axis, end, nodes) in enumerate(edges, start=1):
         limit = surface.domain[axis]
-        on = np.abs(marker_uv[:, axis] - limit[end]) <= EDGE_TOL * (limit[1] - limit[0])
+        on = np.abs(marker_uv[:, axis] - limit[end]) <= 1e-9 * (limit[1] - limit[0])
         group[on & (group == 0)] = k
         inner[nodes] = False
         pools.append(nodes)
@@ -109,7 +104,7 @@ def _assign(points: FloatArray, wanted: FloatArray) -> IntArray | None:
     from scipy.sparse.csgraph import min_weight_full_bipartite_matching
     from scipy.spatial import cKDTree
 
-    count = min(CANDIDATES, len(points))
+    count = min(12, len(points))  # nodes that a marker may take, nearest first
     if len(points) < len(wanted):
         return None
     distance, near = cKDTree(points).query(wanted, k=count)

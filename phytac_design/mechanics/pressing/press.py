@@ -11,14 +11,14 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large import rotations as rot
-from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Equilibrium, Loading
+from phytac_design.mechanics.large.newton import Equilibrium
+from phytac_design.mechanics.large.quasi_newton import LINEAR_ERROR_SAFETY, QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.pressing.contact_patch import ContactPatch
+from phytac_design.mechanics.shell import discretisation
 from phytac_design.mechanics.shell.compliance import point_motion
 from phytac_design.mechanics.shell.discretisation import (
-    MIN_SIZE_RATIO,
     ProbedShell,
     estimate_error,
     probed_sensor,
@@ -31,10 +31,6 @@ from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, NumericalError, OutputError
 
 Theory = Literal["auto", "linear", "large"]
-NEAR = 9
-"""Markers of the table: a receptor and its neighbours."""
-STRAIN_LIMIT = 0.1
-"""Bending strain from which a result is refused: theory takes strains as small."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,8 +156,8 @@ def press(
     model = sensor_model(design, markers, mesh, receptors=receptors)
     probed = probed_sensor(model, mesh, surface, markers, place.uv[None], place.radius_mm)
     load = place.force_N * probed.loads
-    check = check_linear(model, load)
-    motion, residual, end = check.motion, 0.0, None
+    check = QuasiNewtonSolver(model).expand(load)
+    motion, residual, end = check.first.reshape(-1, 6), 0.0, None
     large = theory == "large" or (
         theory == "auto" and LINEAR_ERROR_SAFETY * check.error > tolerance
     )
@@ -173,7 +169,8 @@ def press(
     progress("press: error of the mesh")
     mesh_error, resolved = _mesh_error(sensor, place, probed, refine, receptors=receptors)
     strain = bending_strain(mesh, motion)
-    if large and strain > STRAIN_LIMIT:
+    strain_limit = 0.1  # theory takes strains as small
+    if large and strain > strain_limit:
         raise NumericalError(
             "strain-too-large", _beyond(place, f"the wall would strain by {100.0 * strain:.0f} %")
         )
@@ -189,7 +186,7 @@ def press(
     peak = int(np.argmax(inward))
     centre = (probed.nodes[-1], probed.weights[-1])
     away = np.linalg.norm(surface.point(markers.uv) - surface.point(place.uv[None]), axis=1)
-    near = np.argsort(away, kind="stable")[:NEAR]
+    near = np.argsort(away, kind="stable")[:9]  # a receptor and its neighbours
     return Press(
         place=place,
         mesh=mesh,
@@ -218,7 +215,7 @@ def press(
 
 def _large_motion(model: ShellModel, load: Any, place: ContactPatch) -> Equilibrium:
     try:
-        return solve_large(model, Loading(force=load))[0]
+        return solve_large(model, load)[0]
     except NumericalError as error:
         raise NumericalError(
             "press-no-equilibrium", _beyond(place, f"no equilibrium is found ({error})")
@@ -235,7 +232,7 @@ def _mesh_error(
         coarse = marker_mesh(surface, markers, thickness_mm=wall, refine=refine // 2)
     except DesignError:  # no coarser mesh holds the markers
         return None, False
-    if len(fine.model.quads) < MIN_SIZE_RATIO**2 * len(coarse.quads):
+    if len(fine.model.quads) < discretisation.SETTINGS.min_size_ratio**2 * len(coarse.quads):
         return None, False
 
     def make(level: int) -> ProbedShell:

@@ -7,15 +7,11 @@ import numpy as np
 from phytac_design.layout import Markers
 from phytac_design.mechanics.pressing.press import Press
 
-STRAIN_WARNING = 0.02
-"""Bending strain from which tough printing resins may yield: E·ε is then about 45 MPa."""
-
-MESH_WARNING = 0.1
-"""Error of the mesh from which a finer one is advised."""
-
 
 def press_warnings(result: Press, *, tolerance: float) -> list[str]:
     """What a reader should know before using the figures."""
+    # Bending strain from which tough printing resins may yield: E·ε is then about 45 MPa.
+    strain_limit, mesh_error_limit = 0.02, 0.1
     out = []
     if not result.large and result.linear_error > tolerance:
         out.append(
@@ -28,12 +24,12 @@ def press_warnings(result: Press, *, tolerance: float) -> list[str]:
         )
     if result.stable is False:
         out.append("the shell does not stay in the state shown while the force is held")
-    if result.mesh_error is None or result.mesh_error > MESH_WARNING:
+    if result.mesh_error is None or result.mesh_error > mesh_error_limit:
         out.append(f"the error of the mesh is {_mesh_error(result)}; raise --refine")
-    if result.strain > STRAIN_WARNING:
+    if result.strain > strain_limit:
         out.append(
             f"the wall bends to a strain of about {100 * result.strain:.2g} %; beyond "
-            f"{100 * STRAIN_WARNING:g} % printing resins yield or break, which is not modelled"
+            f"{100 * strain_limit:g} % printing resins yield or break, which is not modelled"
         )
     return out
 

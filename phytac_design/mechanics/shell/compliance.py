@@ -14,9 +14,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
-SYMMETRY_TOL = 1e-9
-"""Largest misfit of mesh or section turned by one column onto itself, as a fraction of its size."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerCompliance:
@@ -148,14 +145,18 @@ def column_turn(model: ShellModel, mesh: ShellMesh, columns: int) -> FloatArray 
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     image = _shifted(len(mesh.nodes_mm), around, around // columns)
     landed = _shifted(len(mesh.quads), around, around // columns)
+    # Largest misfit of mesh or section turned onto itself, as a fraction of its size.
+    tolerance = 1e-9
     gap = np.abs(mesh.nodes_mm @ turn.T - mesh.nodes_mm[image]).max()
     lean = np.abs(mesh.normals @ turn.T - mesh.normals[image]).max()
     alike = (
-        gap <= SYMMETRY_TOL * np.abs(mesh.nodes_mm).max()
-        and lean <= SYMMETRY_TOL
+        gap <= tolerance * np.abs(mesh.nodes_mm).max()
+        and lean <= tolerance
         and np.array_equal(model.fixed, model.fixed[image])
         and np.array_equal(np.sort(image[mesh.quads]), np.sort(mesh.quads[landed]))
-        and all(_repeats(part, landed) for part in (model.thickness_mm, model.modulus_MPa))
+        and all(
+            _repeats(part, landed, tolerance) for part in (model.thickness_mm, model.modulus_MPa)
+        )
     )
     return turn if alike else None
 
@@ -174,10 +175,10 @@ def turns_of(model: ShellModel, mesh: ShellMesh, columns: int) -> tuple[int, Flo
     return 1, None
 
 
-def _repeats(value: float | FloatArray, landed: IntArray) -> bool:
+def _repeats(value: float | FloatArray, landed: IntArray, tolerance: float) -> bool:
     """Whether a section, one or one per element, is the same where each element lands."""
     section = np.broadcast_to(np.asarray(value, dtype=np.float64), len(landed))
-    return bool(np.abs(section[landed] - section).max() <= SYMMETRY_TOL * section.max())
+    return bool(np.abs(section[landed] - section).max() <= tolerance * section.max())
 
 
 def _shifted(count: int, around: int, step: int) -> IntArray:

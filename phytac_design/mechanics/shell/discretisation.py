@@ -20,26 +20,27 @@ import numpy as np
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.meshing.locate import locate
-from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.compliance import point_motion
 from phytac_design.mechanics.shell.loads import patch_loads
-from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
-
-MIN_SIZE_RATIO = 1.6
-"""Least ratio of element sizes of one mesh to the next; nearer ones gave estimates 3 times off."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorSettings:
     """Rates of convergence."""
 
+    min_size_ratio: float = 1.6
+    """Least ratio of element sizes of one mesh to the next; nearer ones gave estimates 3 times
+    off."""
+
     rate: float = 2.0
     """Order of the motion's error in the element size."""
     coarse_rate: float = 1.6
-    """Rate assumed where the meshes differ by more than ``COARSE_STEP``."""
+    """Rate assumed where the meshes differ by more than ``coarse_step``."""
     coarse_step: float = 0.1
     """Difference of the meshes, of the peak, up to which the rate of theory is trusted."""
 
@@ -144,11 +145,11 @@ def estimate_error(
         correction.append(part.correction(motion))
         elements.append(len(part.model.quads))
     ratio = float(np.sqrt(elements[0] / elements[1]))
-    if ratio < MIN_SIZE_RATIO:
+    if ratio < SETTINGS.min_size_ratio:
         raise NumericalError(
             "mesh-error-size-ratio",
-            f"the second mesh must be coarser by {MIN_SIZE_RATIO} or more in element size (got "
-            f"{elements} elements); order refine from fine to coarse",
+            f"the second mesh must be coarser by {SETTINGS.min_size_ratio} or more in element size "
+            f"(got {elements} elements); order refine from fine to coarse",
         )
     if plain[0].shape != plain[1].shape:
         raise NumericalError(
@@ -202,27 +203,6 @@ def probed_sensor(
         weights=np.concatenate([np.full(own.shape, 0.25), weights]),
         arm_mm=np.concatenate([markers.tip_mm - markers.mid_mm, np.zeros((len(nodes), 3))]),
     )
-
-
-def sensor_shell(
-    surface: Surface,
-    markers: Markers,
-    *,
-    thickness_mm: float,
-    modulus_MPa: float,
-    poisson: float,
-    centres_uv: FloatArray,
-    radii_mm: FloatArray | float,
-) -> Callable[[int], ProbedShell]:
-    """``make`` of :func:`estimate_error` for the plain wall, probed as :func:`probed_sensor`."""
-    centres = np.asarray(centres_uv, dtype=np.float64).reshape(-1, 2)
-
-    def make(refine: int) -> ProbedShell:
-        mesh = marker_mesh(surface, markers, thickness_mm=thickness_mm, refine=refine)
-        model = clamped_model(mesh, modulus_MPa=modulus_MPa, poisson=poisson)
-        return probed_sensor(model, mesh, surface, markers, centres, radii_mm)
-
-    return make
 
 
 def _largest(field: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Factor of a stiffness matrix: its solver, the rounding error of its solutions, its condition."""
+"""Factor of a stiffness matrix: its solver, and the rounding error of its solutions."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,9 +29,6 @@ class FactorSettings:
     Measured against solutions of the same shell turned in space, the estimate is then 0.8 to 10
     times the true error wherever that exceeds 1e-12.
     """
-    min_load: float = 1e-100
-    """Loads that differ by more than this from those that numbers are made for are solved
-    scaled."""
 
 
 SETTINGS = FactorSettings()
@@ -79,14 +76,6 @@ class Factor:
     def solve(self, loads: FloatArray) -> tuple[FloatArray, float]:
         """Motion (n, m) under loads (n, m), and the largest relative rounding error over them."""
         right = self.scale[:, None] * loads
-        largest = np.abs(right).max(axis=0, initial=0.0)
-        if np.any(
-            (largest > 0.0) & ((largest < SETTINGS.min_load) | (largest > 1.0 / SETTINGS.min_load))
-        ):
-            # Squares of such numbers are none; by powers of two nothing else changes.
-            power = np.frexp(largest)[1]
-            scaled, worst = self.solve(np.ldexp(loads, -power))
-            return np.ldexp(scaled, power), worst
         x = self.backend.solve(right)
         square = x * x
         size = np.sqrt(square.sum(axis=0))
@@ -108,22 +97,6 @@ class Factor:
         draws = np.random.default_rng(0).normal(size=(self.scale.size, SETTINGS.probes))
         gain = pattern @ np.square(self.backend.solve(draws))
         return np.ascontiguousarray(gain.T), np.diff(pattern.indptr).astype(np.float64)
-
-    @cached_property
-    def condition(self) -> float:
-        """Condition number of the scaled matrix in the 1-norm (Higham and Tisseur's estimate)."""
-        from scipy.sparse.linalg import LinearOperator, onenormest
-
-        solve = self.backend.solve
-        inverse = LinearOperator(
-            self.scaled.shape,
-            dtype=np.float64,
-            matvec=solve,
-            rmatvec=solve,
-            matmat=solve,
-            rmatmat=solve,
-        )
-        return float(onenormest(inverse) * abs(self.scaled).sum(axis=0).max())
 
 
 def _superlu(matrix: Any) -> Any:

@@ -17,11 +17,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
-CELLS = 8
-"""Cells along each side of an element."""
-PAIRS = 20_000
-"""(patch, element) pairs worked on at once, to bound the memory."""
-
 
 class Pressure(Protocol):
     """Pressure of m patches over a face."""
@@ -197,15 +192,16 @@ def spread_loads(mesh: ShellMesh, surface: Surface, patches: PressurePatches) ->
 
 
 def _spread(mesh: ShellMesh, surface: Surface, patches: PressurePatches) -> _Spread:
+    cells = 8  # along each side of an element
     outer, middle, area = outer_elements(mesh)
     reach = np.linalg.norm(outer - middle[:, None], axis=2).max(axis=1)
-    size = np.sqrt(area) / CELLS
-    longest = np.linalg.norm(outer - np.roll(outer, 1, axis=1), axis=2).max(axis=1) / CELLS
+    size = np.sqrt(area) / cells
+    longest = np.linalg.norm(outer - np.roll(outer, 1, axis=1), axis=2).max(axis=1) / cells
     at, facing = surface.point(patches.uv), surface.normal(patches.uv)
     patch, element, _ = near_pairs(at, patches.reach_mm, middle, reach + size)
     cell = np.zeros(len(patches.uv))
     np.maximum.at(cell, patch, size[element])
-    side = (np.arange(CELLS) + 0.5) * 2.0 / CELLS - 1.0
+    side = (np.arange(cells) + 0.5) * 2.0 / cells - 1.0
     r, s = (grid.ravel() for grid in np.meshgrid(side, side))
     h = 0.25 * (1.0 + np.multiply.outer(r, R)) * (1.0 + np.multiply.outer(s, S))  # (q, 4)
     used, slot = np.unique(element, return_inverse=True)
@@ -213,8 +209,9 @@ def _spread(mesh: ShellMesh, surface: Surface, patches: PressurePatches) -> _Spr
     push = -normals * _cell_area(outer[used], r, s)[:, :, None]
     force = np.zeros((len(patch), 4, 3))
     drag = None if patches.drag is None else np.zeros((len(patch), 4, 6))
-    for first in range(0, len(patch), PAIRS):
-        part = slice(first, first + PAIRS)
+    at_once = 20_000  # pairs, to bound the memory
+    for first in range(0, len(patch), at_once):
+        part = slice(first, first + at_once)
         i, k = patch[part], slot[part]
         arm = points[k] - at[i][:, None]
         inside = patches.pressure(i, arm, size[used[k]], longest[used[k]])

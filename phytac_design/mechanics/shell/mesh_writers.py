@@ -14,8 +14,6 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
-PER_LINE = 10
-"""Labels per line of a set (Abaqus allows 16, lines of 80 characters fewer)."""
 RIMS = ("TOP", "BOTTOM", "LEFT", "RIGHT")
 """Node sets of the open edges, in the order of the files."""
 PHYSICAL = {
@@ -40,8 +38,9 @@ def inp_set(kind: str, name: str, members: IntArray) -> Iterator[str]:
     """Lines of a set; ``kind`` is NSET or ELSET, members count from 0."""
     yield f"*{kind}, {kind}={name}"
     labels = (np.sort(members) + 1).tolist()
-    for first in range(0, len(labels), PER_LINE):
-        yield ", ".join(map(str, labels[first : first + PER_LINE]))
+    per_line = 10  # Abaqus allows 16, lines of 80 characters fewer
+    for first in range(0, len(labels), per_line):
+        yield ", ".join(map(str, labels[first : first + per_line]))
 
 
 def inp_material(modulus_MPa: float, poisson: float, *, name: str = "RESIN") -> Iterator[str]:

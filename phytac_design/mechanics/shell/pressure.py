@@ -25,11 +25,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-MIN_WIDTH_CELLS = 1e-6
-"""Half-width of a line, in cells: finite, and far below the resolution of the cells."""
-MAX_FRICTION = 5.0
-"""Tangential over normal force: rubber on glass reaches 3; more is a slip of the pen."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ContactFrames:
@@ -137,9 +132,14 @@ class PressureWithHoles:
         return out
 
 
+def _over_a_line(half: FloatArray, width: FloatArray) -> FloatArray:
+    """Half-widths (p,) that are finite, and far below the resolution of cells ``width`` wide."""
+    return np.maximum(half, 1e-6 * width)
+
+
 def _mean_of_hertz(r: FloatArray, half: FloatArray, width: FloatArray) -> FloatArray:
     """Mean of √(1 - (r/a)²) over intervals of length ``width`` (p,) about r (p, q), a (p,)."""
-    a, w = np.maximum(half, MIN_WIDTH_CELLS * width)[:, None], width[:, None]
+    a, w = _over_a_line(half, width)[:, None], width[:, None]
     ends = [np.clip((r + side * w / 2.0) / a, -1.0, 1.0) for side in (1.0, -1.0)]
     upper, lower = (0.5 * (x * np.sqrt(1.0 - x * x) + np.arcsin(x)) for x in ends)
     return np.asarray((upper - lower) * a / w)
@@ -151,7 +151,7 @@ def _soft_hertz(y: FloatArray, half: FloatArray, width: FloatArray) -> FloatArra
     A hat gives a line its total, and its place, on cells that it crosses at any angle; a plain
     mean does not.
     """
-    b, w = np.maximum(half, MIN_WIDTH_CELLS * width)[:, None], width[:, None]
+    b, w = _over_a_line(half, width)[:, None], width[:, None]
 
     def twice_integrated(y: FloatArray) -> FloatArray:
         x = np.clip(y / b, -1.0, 1.0)
@@ -164,7 +164,7 @@ def _soft_hertz(y: FloatArray, half: FloatArray, width: FloatArray) -> FloatArra
 
 def _soft_ends(x: FloatArray, half: FloatArray, width: FloatArray) -> FloatArray:
     """1 where |x| < half (p,), 0 beyond, averaged by the same hat; x (p, q)."""
-    ends, w = np.maximum(half, MIN_WIDTH_CELLS * width)[:, None], width[:, None]
+    ends, w = _over_a_line(half, width)[:, None], width[:, None]
 
     def twice_integrated(x: FloatArray) -> FloatArray:
         inner = np.minimum(np.abs(x), ends)
@@ -266,6 +266,7 @@ def check_indentations(surface: Surface, contacts: Indentations) -> None:
         contacts.friction,
     )
     table = np.column_stack(numbers)
+    max_friction = 5.0  # rubber on glass reaches 3; more is a slip of the pen
     known = (contacts.indenter >= FLAT) & (contacts.indenter <= CYLINDER)
     short = (contacts.indenter == CYLINDER) & (contacts.length_mm <= 0.0)
     (u0, u1), (v0, v1) = surface.domain
@@ -306,10 +307,9 @@ def check_indentations(surface: Surface, contacts: Indentations) -> None:
         "give the length of its strip in mm",
     )
     _refuse(
-        np.hypot(*contacts.friction.T) > MAX_FRICTION,
+        np.hypot(*contacts.friction.T) > max_friction,
         contacts.friction,
-        "contact-friction-too-large",
-        f"friction is more than {MAX_FRICTION:g} times the normal force",
+        f"friction is more than {max_friction:g} times the normal force",
         "give tangential over normal force, not newtons",
     )
     _refuse(

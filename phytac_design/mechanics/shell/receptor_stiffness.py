@@ -29,10 +29,6 @@ MIXING_MEMBRANE, MIXING_BENDING = 0.7, 0.5
 """s of the mixture. In the membrane theory has (1 + ν)/2 for equal and (3 - ν)/4 for unequal
 stretching, nearly the same; in bending (1 + ν)/2 and (1 - ν)/4, here one number between them. With
 these, cells of area fraction 0.05 … 0.35 give the same e within 6 %."""
-CELLS = 8
-"""Cells along each side of an element, to find the share of it under tubes."""
-MIN_FACTOR, MAX_FACTOR = 0.05, 10.0
-"""Bounds of an element's factors: a wide hole leaves some stiffness, a stout tube stays finite."""
 DIAMETER_OVER_T = np.array([1.5, 3.0, 6.0, 12.0])
 HOLE_OVER_DIAMETER = np.array([0.0, 0.4, 0.6, 0.8])
 HEIGHT_OVER_T = np.array([0.0, 0.4, 1.0, 3.0])
@@ -66,8 +62,6 @@ EFFECT_MEMBRANE, EFFECT_BENDING = EFFECTS[:, :, 0], EFFECTS[:, :, 1]
 """e by (diameter, hole, height) at ν = 0.38, area fraction 0.12; converged with the mesh to 0.3 %
 of a cell's stiffness. ``python -m benchmarks.mechanics_receptors`` makes them. From ν = 0.3
 to 0.45 e changes by up to 12 %: a cell's stiffness by 1 %, by 5 % where tubes are very dense."""
-ROUNDING = 1.0 + 1e-9
-"""Rounding allowed beyond the tables' ends."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +111,7 @@ def receptor_effect(
         ("tube diameter over wall thickness", d, DIAMETER_OVER_T),
         ("hole over tube diameter", q, HOLE_OVER_DIAMETER),
     ):
-        if not np.all((value * ROUNDING >= axis[0]) & (value <= axis[-1] * ROUNDING)):
+        if not np.all((value >= axis[0] - 1e-9) & (value <= axis[-1] + 1e-9)):
             raise DesignError(
                 "receptor-stiffness-range",
                 f"receptor stiffness: {label} is known from {axis[0]:g} to {axis[-1]:g} (got "
@@ -146,17 +140,20 @@ def receptor_effect(
 
 def mixture(share: FloatArray, effect: FloatArray, mixing: float) -> FloatArray:
     """Factor r(f) of a wall with the share f of its area under receptors of effect e."""
+    # A wide hole leaves some stiffness, a stout tube stays finite.
+    low, high = 0.05, 10.0
     denominator = 1.0 - mixing * share * effect
     with np.errstate(divide="ignore"):
         factor = 1.0 + share * effect / denominator
-    return np.where(denominator > 0.0, np.clip(factor, MIN_FACTOR, MAX_FACTOR), MAX_FACTOR)
+    return np.where(denominator > 0.0, np.clip(factor, low, high), high)
 
 
 def tube_cover(mesh: ShellMesh, markers: Markers, radius_mm: float) -> tuple[FloatArray, IntArray]:
     """How far each cell of each element is under a tube, 0 … 1, and its nearest marker, (E, q)."""
     from scipy.spatial import cKDTree
 
-    side = (np.arange(CELLS) + 0.5) * 2.0 / CELLS - 1.0
+    cells = 8  # along each side of an element
+    side = (np.arange(cells) + 0.5) * 2.0 / cells - 1.0
     r, s = (grid.ravel() for grid in np.meshgrid(side, side))
     h = 0.25 * (1.0 + np.multiply.outer(r, R)) * (1.0 + np.multiply.outer(s, S))
     corner = mesh.nodes_mm[mesh.quads]
@@ -166,7 +163,7 @@ def tube_cover(mesh: ShellMesh, markers: Markers, radius_mm: float) -> tuple[Flo
         np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1]), axis=1
     )
     # The edge of a tube is smoothed over one cell.
-    cell = np.sqrt(area / 2.0)[:, None] / CELLS
+    cell = np.sqrt(area / 2.0)[:, None] / cells
     inside = np.clip((radius_mm - distance.reshape(shape)) / cell + 0.5, 0.0, 1.0)
     return np.asarray(inside), np.asarray(owner.reshape(shape), dtype=np.int64)
 

@@ -32,10 +32,6 @@ GAUSS = 1.0 / np.sqrt(3.0)
 SHEAR_FACTOR = 5.0 / 6.0
 DRILLING = 1.0
 """Default stiffness of the drilling tie, in shear moduli."""
-DRILLING_VARIATION = 1e-3
-"""Share of that stiffness against variations of the tie within an element (see ``_tie_rows``)."""
-FLAT_TOL = 1e-12
-"""Smallest Jacobian at a corner, as a fraction of the element's mean, that still counts."""
 CHUNK = 512
 """Elements at a time: few enough that their matrices stay in cache, enough to hide the calls."""
 POINTS = GAUSS * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
@@ -87,7 +83,7 @@ def element_stiffness(
     quads: IntArray,
     directors: FloatArray,
     *,
-    poisson: float,
+    poisson: complex,
     drilling: float = DRILLING,
 ) -> ElementStiffness:
     """Stiffness of all elements at once.
@@ -100,8 +96,8 @@ def element_stiffness(
         Corners.
     directors : (N, 3) or (E, 4, 3) float
         Unit normals of the middle face per node, or per element and corner (at creases).
-    poisson : float
-        Poisson's ratio, 0 <= ν < 0.5 (plane stress).
+    poisson : float or complex
+        Poisson's ratio, 0 <= ν < 0.5 (plane stress); matrices are analytic in it.
     drilling : float
         Stiffness of the drilling tie in shear moduli; 1e-4 … 1 makes no difference.
 
@@ -141,11 +137,10 @@ def _gram(a: FloatArray) -> FloatArray:
     return np.asarray(np.swapaxes(first, 1, 2) @ first)
 
 
-def _root_plane_stress(poisson: float) -> FloatArray:
+def _root_plane_stress(poisson: complex) -> FloatArray:
     """Upper triangular factor L with LᵀL = the plane-stress matrix for E = 1, (3, 3)."""
-    v = poisson
-    D = np.array([[1.0, v, 0.0], [v, 1.0, 0.0], [0.0, 0.0, (1.0 - v) / 2.0]]) / (1.0 - v * v)
-    return np.asarray(np.linalg.cholesky(D).T)
+    a, g = np.sqrt(1.0 - poisson * poisson), np.sqrt(0.5 / (1.0 + poisson))
+    return np.array([[1.0 / a, poisson / a, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, g]])
 
 
 def shape(r: float, s: float) -> tuple[FloatArray, FloatArray]:
@@ -230,7 +225,7 @@ def _refuse_degenerate(X: FloatArray) -> None:
     with np.errstate(invalid="ignore"):
         n0 = _cross(*_at(shape(0.0, 0.0)[1], X))
         minimum = _dot(_cross(*_at(dh, X)), n0)[:, 0].min(axis=0)
-        bad = ~(minimum > FLAT_TOL * _dot(n0, n0)[0])
+        bad = ~(minimum > 1e-12 * _dot(n0, n0)[0])
     if np.any(bad):
         where = int(np.argmax(bad))
         raise NumericalError(
@@ -334,7 +329,7 @@ def _tie_weights(at: _Points) -> FloatArray:
     """
     j = at.weight**2
     mean = j / np.sqrt(np.sum(j, axis=0))
-    each = np.sqrt(DRILLING_VARIATION) * np.eye(4)[:, :, None] * at.weight
+    each = np.sqrt(1e-3) * np.eye(4)[:, :, None] * at.weight
     return np.concatenate([mean[None], each])
 
 

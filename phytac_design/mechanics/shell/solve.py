@@ -14,11 +14,7 @@ from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
-__all__ = ["SUPERLU", "ShellModel", "Solution", "clamped_model", "rigid_modes"]
-ERROR_TOL = 5e-3
-"""Largest rounding error of a solution (estimated, on the safe side) that is returned at all."""
-BATCH = 64
-"""Right-hand sides per call: enough to amortise reading the factor, few enough to stay in cache."""
+__all__ = ["SUPERLU", "ShellModel", "Solution", "clamped_model"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +61,8 @@ class ShellModel:
     ------
     NumericalError
         If inputs are not finite, an element is degenerate, elements do not form a surface
-        (:mod:`meshing.check`), a node belongs to no element, or a rigid motion is left free.
+        (:mod:`meshing.mesh_check`), or fewer than six DOFs are held. Another rigid motion that is
+        left free is found at the first solution: its rounding error is too large.
     """
 
     def __init__(
@@ -80,7 +77,17 @@ class ShellModel:
         fixed: BoolArray,
         drilling: float = DRILLING,
     ) -> None:
-        _refuse_bad_numbers(nodes_mm, directors, thickness_mm, modulus_MPa, poisson)
+        if not 0.0 <= poisson < 0.5:
+            raise NumericalError(
+                "poisson-out-of-range", f"poisson must lie in [0, 0.5) (got {poisson!r})"
+            )
+        for label, value in (("thickness_mm", thickness_mm), ("modulus_MPa", modulus_MPa)):
+            if not (np.all(np.isfinite(value)) and np.all(np.asarray(value) > 0.0)):
+                raise NumericalError(
+                    "material-value-invalid",
+                    f"{label} must be finite and positive (least value {np.min(value):g}); correct "
+                    "the model's input",
+                )
         self.nodes_mm = nodes_mm
         self.quads = quads
         self.directors = directors
@@ -89,7 +96,11 @@ class ShellModel:
         self.uniform = np.ndim(thickness_mm) == 0 and np.ndim(modulus_MPa) == 0
         self.fixed = np.asarray(fixed, dtype=np.bool_)
         check_quads(quads, len(nodes_mm))
-        self._refuse_loose()
+        if np.count_nonzero(self.fixed) < 6:
+            raise NumericalError(
+                "shell-not-held",
+                "the shell is not held and can move rigidly; fix a rim or add supports",
+            )
         check_directors(nodes_mm, quads, directors)
         self._pattern = make_pattern(quads, len(nodes_mm))
         self.elements = element_stiffness(
@@ -106,10 +117,6 @@ class ShellModel:
     def factor(self) -> Factor:
         """Factor of the free stiffness, made at first use."""
         return Factor(self.stiffness[self._free][:, self._free])
-
-    def condition(self) -> float:
-        """Condition number (1-norm, estimated) of the free stiffness scaled to a unit diagonal."""
-        return self.factor.condition
 
     def solve(self, loads: Any) -> Solution:
         """Motion under loads (6N, m), dense or scipy.sparse: forces (N) and moments (N mm).
@@ -129,16 +136,18 @@ class ShellModel:
                 f"{row // 6}; check the forces handed in",
             )
         motion = np.zeros_like(dense)
-        error = 0.0
-        for first in range(0, dense.shape[1], BATCH):
-            batch = slice(first, first + BATCH)
+        error, max_error = 0.0, 5e-3  # estimated, on the safe side
+        # Right-hand sides at once: enough to amortise reading the factor, and they stay in cache.
+        at_once = 64
+        for first in range(0, dense.shape[1], at_once):
+            batch = slice(first, first + at_once)
             motion[self._free, batch], part = self.factor.solve(dense[self._free, batch])
             error = float(np.maximum(error, part))  # keeps NaN
-        if not error <= ERROR_TOL:
+        if not error <= max_error:
             raise NumericalError(
                 "stiffness-ill-conditioned",
                 f"rounding errors are too large (relative error about {error:.2g}, limit "
-                f"{ERROR_TOL:g}): the stiffness is close to singular; check that the shell is "
+                f"{max_error:g}): the stiffness is close to singular; check that the shell is "
                 "held and that thickness over element size is not far below 1e-4",
             )
         reactions = self.stiffness @ motion - dense
@@ -147,41 +156,6 @@ class ShellModel:
         return Solution(
             motion=motion.reshape(shape), reactions=reactions.reshape(shape), error=error
         )
-
-    def _refuse_loose(self) -> None:
-        """Refuse nodes without elements, and bodies that can move rigidly."""
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
-
-        count = len(self.nodes_mm)
-        if self.fixed.shape != (count, 6):
-            raise NumericalError(
-                "fixed-flags-shape",
-                f"fixed must have one flag per DOF, ({count}, 6) (got {self.fixed.shape})",
-            )
-        used = np.zeros(count, dtype=np.bool_)
-        used[self.quads] = True
-        lonely = ~used & ~self.fixed.all(axis=1)
-        if np.any(lonely):
-            raise NumericalError(
-                "node-without-element",
-                f"node {int(np.argmax(lonely))} belongs to no element ({int(lonely.sum())} in "
-                "all) and is free; remove it from the mesh or hold it",
-            )
-        ring = np.roll(self.quads, -1, axis=1)
-        links = coo_matrix(
-            (np.ones(self.quads.size), (self.quads.ravel(), ring.ravel())), shape=(count, count)
-        )
-        bodies, label = connected_components(links, directed=False)
-        for body in range(bodies):
-            mine = label == body
-            if used[mine].any() and _rigid_rank(self.nodes_mm[mine], self.fixed[mine]) < 6:
-                raise NumericalError(
-                    "shell-not-held",
-                    f"the shell is not held: a body of {int(mine.sum())} nodes can move rigidly "
-                    f"(constraints block {_rigid_rank(self.nodes_mm[mine], self.fixed[mine])} of "
-                    "6 motions); fix a rim or add supports",
-                )
 
 
 def clamped_model(
@@ -207,49 +181,3 @@ def clamped_model(
         poisson=poisson,
         fixed=fixed,
     )
-
-
-def rigid_modes(nodes_mm: FloatArray) -> FloatArray:
-    """Six rigid motions of a body, (N, 6, 6): [node, DOF, mode]; turns are of 1/size rad."""
-    arm = nodes_mm - nodes_mm.mean(axis=0)
-    size = float(np.abs(arm).max()) or 1.0
-    modes = np.zeros((len(nodes_mm), 6, 6))
-    modes[:, :3, :3] = np.eye(3)
-    for axis in range(3):
-        modes[:, :3, 3 + axis] = np.cross(np.eye(3)[axis], arm / size)
-        modes[:, 3 + axis, 3 + axis] = 1.0 / size
-    return modes
-
-
-def _rigid_rank(nodes_mm: FloatArray, fixed: BoolArray) -> int:
-    modes = rigid_modes(nodes_mm)
-    modes[:, 3:] /= np.abs(modes[:, 3:]).max()  # the scale of a rotation does not matter here
-    held = modes[fixed]
-    return int(np.linalg.matrix_rank(held.T @ held, tol=1e-12)) if len(held) else 0
-
-
-def _refuse_bad_numbers(
-    nodes_mm: FloatArray,
-    directors: FloatArray,
-    thickness_mm: float | FloatArray,
-    modulus_MPa: float | FloatArray,
-    poisson: float,
-) -> None:
-    for label, value, low in (
-        ("node coordinates", nodes_mm, -np.inf),
-        ("directors", directors, -np.inf),
-        ("thickness_mm", thickness_mm, 0.0),
-        ("modulus_MPa", modulus_MPa, 0.0),
-    ):
-        array = np.asarray(value)
-        if not (np.all(np.isfinite(array)) and np.all(array > low)):
-            raise NumericalError(
-                "material-value-invalid",
-                f"{label} must be finite{'' if low else ' and positive'} "
-                f"(least value {np.min(array):g}, {int((~np.isfinite(array)).sum())} not finite); "
-                "correct the model's input",
-            )
-    if not 0.0 <= poisson < 0.5:
-        raise NumericalError(
-            "poisson-out-of-range", f"poisson must lie in [0, 0.5) (got {poisson!r})"
-        )

@@ -7,9 +7,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-CELLS = 6
-"""Each boundary triangle is cut into this many cells squared."""
-
 
 def shape_triangle(L: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Quadratic shape functions (q, 6) at barycentric ``L`` (q, 3), derivatives (2, q, 6)."""
@@ -23,8 +20,8 @@ def shape_triangle(L: FloatArray) -> tuple[FloatArray, FloatArray]:
     return h, d[1:] - d[0]
 
 
-def cells(count: int = CELLS) -> FloatArray:
-    """Barycentric centres (count², 3) of equal cells of a triangle."""
+def cells(count: int = 6) -> FloatArray:
+    """Barycentric centres (count², 3) of the equal cells that a boundary triangle is cut into."""
     up = [(i, j) for i in range(count) for j in range(count - i)]
     down = [(i, j) for i in range(count - 1) for j in range(count - 1 - i)]
     a = np.array([(i + 1.0 / 3.0, j + 1.0 / 3.0) for i, j in up])

@@ -11,15 +11,8 @@ from phytac_shapes.errors import MissingPartError, NumericalError
 
 GMSH_TET10, GMSH_TRIANGLE6 = 11, 9
 """Element type numbers of Gmsh."""
-TO_ABAQUS = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
-"""Gmsh numbers the last two mid-edge nodes of a tetrahedron the other way round."""
 EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
 """Corners that each mid-edge node of a tetrahedron lies between."""
-MIN_JACOBIAN = 1e-3
-"""Least Jacobian of an element over its largest; below, it is as good as folded."""
-GOOD_JACOBIAN = 0.1
-"""Below this ratio an element's curved edges are made straight."""
-STRAIGHTEN_STEPS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +106,8 @@ def _read(gmsh: Any) -> Tetrahedra:
     tags, xyz, _ = gmsh.model.mesh.getNodes()
     _, flat = gmsh.model.mesh.getElementsByType(GMSH_TET10)
     _, faces = gmsh.model.mesh.getElementsByType(GMSH_TRIANGLE6)
-    tets, triangles = flat.reshape(-1, 10)[:, TO_ABAQUS], faces.reshape(-1, 6)
+    # Gmsh numbers the last two mid-edge nodes of a tetrahedron the other way round than Abaqus.
+    tets, triangles = flat.reshape(-1, 10)[:, [*range(8), 9, 8]], faces.reshape(-1, 6)
     used = np.unique(tets)
     order = np.argsort(tags)
     place = order[np.searchsorted(tags[order], used)]
@@ -126,7 +120,7 @@ def _read(gmsh: Any) -> Tetrahedra:
         )
     )
     worst = float(jacobian_ratio(mesh).min(initial=np.inf))
-    if not MIN_JACOBIAN < worst < np.inf:
+    if not 1e-3 < worst < np.inf:
         raise NumericalError(
             "solid-element-folded",
             f"a solid element is folded (least Jacobian over largest {worst:.2g}, {len(tets)} "
@@ -139,9 +133,10 @@ def _straighten(mesh: Tetrahedra) -> Tetrahedra:
     """Pull the middle nodes of folded elements (flat ones on a curved face) onto straight edges."""
     nodes = mesh.nodes_mm.copy()
     i, j = np.array(EDGES).T
-    for _ in range(STRAIGHTEN_STEPS):
+    steps, good_jacobian = 5, 0.1
+    for _ in range(steps):
         now = replace(mesh, nodes_mm=nodes)
-        bad = mesh.tets[jacobian_ratio(now) < GOOD_JACOBIAN]
+        bad = mesh.tets[jacobian_ratio(now) < good_jacobian]
         if not len(bad):
             break
         nodes[bad[:, 4:]] = (nodes[bad[:, i]] + nodes[bad[:, j]]) / 2.0

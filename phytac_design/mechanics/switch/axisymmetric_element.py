@@ -14,9 +14,6 @@ from phytac_design.mechanics.switch.hyperelastic import Material
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
-CLOSE = 1e-5
-"""Stretches closer than this take the limit of divided differences: both errors near 1e-10."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
@@ -209,7 +206,8 @@ def _pair(
 ) -> tuple[FloatArray, FloatArray]:
     """A_ijij and A_ijji of principal directions i ≠ j (Ogden 1997), also where they coincide."""
     gap = stretch[..., i] - stretch[..., j]
-    near = np.abs(gap) < CLOSE
+    # Closer stretches take the limit of divided differences: both errors are then near 1e-10.
+    near = np.abs(gap) < 1e-5
     limit = 0.5 * (second[..., i, i] + second[..., j, j]) - second[..., i, j]
     apart = np.where(near, limit, (first[..., i] - first[..., j]) / np.where(near, 1.0, gap))
     joint = (first[..., i] + first[..., j]) / (stretch[..., i] + stretch[..., j])

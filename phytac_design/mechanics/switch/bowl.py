@@ -16,13 +16,6 @@ from phytac_design.mechanics.switch.model import AxiModel
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-STUB_DIAMETERS = 0.5
-"""Length of stem that is meshed, in its diameters: below, stresses have died out."""
-NODE_DENSITY = 2.5
-"""How much closer nodes stand on fillets and flank than on the bowl."""
-SPLIT = 0.6
-"""Where on the stem's fillet the elements of bowl and stem meet: both keep open corners."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Bowl:
@@ -203,12 +196,15 @@ def walls(bowl: Bowl, cells: int, stem_cells: int = 4) -> tuple[FloatArray, Floa
         _arc(middle, outer, end, np.array([half, 0.0])),
     ]
     curl = _arc(pocket, rho, np.array([stem, pocket[1]]), touch)
-    split = int(SPLIT * len(curl))
+    # The elements of bowl and stem meet where both keep open corners.
+    split = int(0.6 * len(curl))
     under = [curl[split:], _arc(middle, inner, touch, np.array([bowl.inner_base_mm, 0.0]))]
-    below_ = np.array([[stem, pocket[1] - STUB_DIAMETERS * bowl.stem_diameter_mm]])
+    # Half a diameter of the stem is meshed: below, stresses have died out.
+    below_ = np.array([[stem, pocket[1] - 0.5 * bowl.stem_diameter_mm]])
+    closer = 2.5  # nodes on fillets and flank than on the bowl
     return (
-        _spread(under, (NODE_DENSITY, 1.0), cells),
-        _spread(over, (NODE_DENSITY, NODE_DENSITY, 1.0), cells),
+        _spread(under, (closer, 1.0), cells),
+        _spread(over, (closer, closer, 1.0), cells),
         _spread([np.concatenate([below_, curl[: split + 1]])], (1.0,), stem_cells),
     )
 

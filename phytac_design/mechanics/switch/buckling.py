@@ -17,8 +17,6 @@ from phytac_design.mechanics.switch.model import HELD, AxiModel, AxiPattern
 from phytac_design.mechanics.switch.switch_path import PathPoint
 from phytac_shapes.arrays import FloatArray, IntArray
 
-MODES = (1, 2, 3, 4, 5, 6)
-
 
 @dataclass(frozen=True, kw_only=True)
 class CircumferentialModes:
@@ -99,7 +97,7 @@ def first_buckling(
     model: AxiModel,
     points: Sequence[PathPoint],
     *,
-    modes: Sequence[int] = MODES,
+    modes: Sequence[int] = (1, 2, 3, 4, 5, 6),
 ) -> dict[int, int]:
     """First point of a path at which each wave number is unstable; only those that are."""
     waves = CircumferentialModes(model=model)

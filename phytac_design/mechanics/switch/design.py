@@ -21,12 +21,6 @@ from phytac_design.mechanics.switch.switch_space import SwitchSpace, Tolerance
 from phytac_design.mechanics.switch.tolerance import Spread, limit_load, threshold_spread
 from phytac_shapes.errors import DesignError, NumericalError
 
-THRESHOLD_TOL = 2e-3
-"""Largest error of the limit load that the search accepts; meshes add about as much."""
-MAX_ITERATIONS = 12
-MIN_MODULUS_MPa, MAX_MODULUS_MPa = 0.05, 100.0
-"""Moduli of rubbers, from gels to the hardest polyurethanes."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class SwitchDesign:
@@ -194,7 +188,8 @@ def _wall(
         x = _secant(lambda at: load(at, 1), x, bounds, tolerance=0.02)
     if np.exp(x) < 0.9 * space.wall_min_mm:
         return float(np.exp(x))
-    return float(np.exp(_secant(lambda at: load(at, 2), x, bounds, tolerance=THRESHOLD_TOL)))
+    # Meshes add about as large an error as is tolerated here.
+    return float(np.exp(_secant(lambda at: load(at, 2), x, bounds, tolerance=2e-3)))
 
 
 def _secant(
@@ -205,7 +200,7 @@ def _secant(
     tolerance: float,
 ) -> float:
     slope, last = 2.2, None
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(12):
         y = function(x)
         if abs(y) <= tolerance:
             return x
@@ -267,6 +262,7 @@ def _refusal(threshold_N: float, rubber: Rubber, space: SwitchSpace, reasons: li
         f"{intro}{why}. From {found.min_N:.3g} to {found.max_N:.3g} N fit with walls of "
         f"{found.min_wall_mm:.3g} to {found.max_wall_mm:.3g} mm"
     )
-    if high < MIN_MODULUS_MPa or low > MAX_MODULUS_MPa:
+    softest_MPa, hardest_MPa = 0.05, 100.0  # gels, and the hardest polyurethanes
+    if high < softest_MPa or low > hardest_MPa:
         return f"{fits}; no rubber's modulus would do: ask for a threshold nearer to those"
     return f"{fits}; or take a rubber of {low:.3g} to {high:.3g} MPa"

@@ -16,9 +16,6 @@ from phytac_design.mechanics.switch.rubbers import Rubber
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_shapes.errors import NumericalError
 
-MAX_WALLS = 7
-"""Walls, each 4 % thinner, that are tried on the fine mesh for the largest threshold."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class FeasibleRange:
@@ -78,7 +75,7 @@ def _on_fine_mesh(
     """Largest threshold and its wall: the fine mesh sees creases that the coarse one bears."""
     for _, start, fillet in fits:
         wall = start
-        for _ in range(MAX_WALLS):
+        for _ in range(7):
             found = _fits(rubber, space, fillet, wall, refine=2)
             if found is not None:
                 return found, wall

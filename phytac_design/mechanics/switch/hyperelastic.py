@@ -4,61 +4,33 @@ A material gives energy, slopes and curvatures of its energy density W(λ₁, λ
 part ½ κ (J − 1)² is left to the element, which projects J − 1 so that κ ≫ μ does not lock.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-MAX_POISSON = 0.49999
-"""Beyond it κ/μ exceeds 5·10⁴, and rounding errors dominate the mixed element."""
 
-
-class Material(Protocol):
+class Material(ABC):
     """What the element needs of a material."""
 
-    @property
-    def bulk_MPa(self) -> float:
-        """Bulk modulus κ of the projected part; 0 where ``derivatives`` holds all of W."""
+    bulk_MPa: float
+    """Bulk modulus κ of the projected part; 0 where ``derivatives`` holds all of W."""
 
     @property
-    def modulus_MPa(self) -> float:
-        """Young's modulus at rest."""
+    @abstractmethod
+    def shear_MPa(self) -> float:
+        """Shear modulus at rest."""
 
-    @property
-    def poisson(self) -> float:
-        """Poisson's ratio at rest."""
-
+    @abstractmethod
     def derivatives(self, stretch: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """W (…), ∂W/∂λᵢ (…, 3) and ∂²W/∂λᵢ∂λⱼ (…, 3, 3) at stretches (…, 3), MPa."""
 
+    @abstractmethod
     def scaled(self, factor: float) -> "Material":
         """Return the material with all stresses multiplied."""
-
-
-def _from_logarithms(
-    stretch: FloatArray, slope: FloatArray, curve: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Slopes by stretch from those by the logarithms of volume-preserving stretches."""
-    slope = slope - slope.mean(axis=-1, keepdims=True)
-    curve = curve - curve.mean(axis=-1, keepdims=True)
-    curve = curve - curve.mean(axis=-2, keepdims=True)
-    np.einsum("...ii->...i", curve)[...] -= slope
-    first = slope / stretch
-    return first, curve / (stretch[..., :, None] * stretch[..., None, :])
-
-
-class _WithBulk:
-    """Young's modulus and Poisson's ratio at rest, from shear and bulk modulus."""
-
-    bulk_MPa: float
-
-    @property
-    def shear_MPa(self) -> float:
-        """Shear modulus at rest."""
-        raise NotImplementedError
 
     @property
     def modulus_MPa(self) -> float:
@@ -73,8 +45,20 @@ class _WithBulk:
         )
 
 
+def _from_logarithms(
+    stretch: FloatArray, slope: FloatArray, curve: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Slopes by stretch from those by the logarithms of volume-preserving stretches."""
+    slope = slope - slope.mean(axis=-1, keepdims=True)
+    curve = curve - curve.mean(axis=-1, keepdims=True)
+    curve = curve - curve.mean(axis=-2, keepdims=True)
+    np.einsum("...ii->...i", curve)[...] -= slope
+    first = slope / stretch
+    return first, curve / (stretch[..., :, None] * stretch[..., None, :])
+
+
 @dataclass(frozen=True, kw_only=True)
-class Yeoh(_WithBulk):
+class Yeoh(Material):
     """W = Σ Cᵢ (Ī₁ − 3)ⁱ, i = 1 … n; one term is the neo-Hookean material (Yeoh 1993).
 
     Attributes
@@ -111,7 +95,7 @@ class Yeoh(_WithBulk):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ogden(_WithBulk):
+class Ogden(Material):
     """W = Σ μᵢ/αᵢ (λ̄₁^αᵢ + λ̄₂^αᵢ + λ̄₃^αᵢ − 3) (Ogden 1972); μ at rest is ½ Σ μᵢ αᵢ.
 
     Attributes
@@ -160,12 +144,14 @@ def bulk_of(shear_MPa: float, poisson: float) -> float:
     Raises
     ------
     DesignError
-        If the ratio is not within [0, ``MAX_POISSON``].
+        If the ratio is not within [0, 0.49999].
     """
-    if not 0.0 <= poisson <= MAX_POISSON:
+    # Beyond it κ/μ exceeds 5·10⁴, and rounding errors dominate the mixed element.
+    largest = 0.49999
+    if not 0.0 <= poisson <= largest:
         raise DesignError(
             "rubber-poisson-invalid",
-            f"Poisson's ratio of the switch must lie within 0 and {MAX_POISSON} (got "
+            f"Poisson's ratio of the switch must lie within 0 and {largest} (got "
             f"{poisson:g}); for a rubber that keeps its volume take 0.499",
         )
     return 2.0 * shear_MPa * (1.0 + poisson) / (3.0 * (1.0 - 2.0 * poisson))

@@ -9,8 +9,6 @@ from phytac_design.core.figures import new_figure, svg
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import OutputError
 
-COLOURS = ("#1c48d6", "#c2189b", "#18a83e", "#c9a400", "#0fa3b1", "#d2452c", "#555555")
-
 
 def line_plot(
     lines: Mapping[str, tuple[FloatArray, FloatArray]],
@@ -32,9 +30,10 @@ def line_plot(
     marks : sequence of (x, y, text)
         Points to name.
     """
+    colours = ("#1c48d6", "#c2189b", "#18a83e", "#c9a400", "#0fa3b1", "#d2452c", "#555555")
     figure = new_figure((7.2, 4.4))
     axes = figure.subplots()
-    for (name, (x, y)), colour in zip(lines.items(), COLOURS, strict=False):
+    for (name, (x, y)), colour in zip(lines.items(), colours, strict=False):
         axes.plot(x, y, color=colour, label=name)
     for *place, text in marks:
         axes.plot(*place, "ko")

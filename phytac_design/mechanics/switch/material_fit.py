@@ -14,8 +14,6 @@ from phytac_shapes.errors import InputError, cause_of
 
 Law = Literal["neo-hookean", "yeoh", "ogden"]
 TERMS = {"neo-hookean": 1, "yeoh": 3, "ogden": 3}
-RANDOM_STARTS = 12
-"""Random starts of an Ogden fit: it has many local minima."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +156,8 @@ def _fit_ogden(stretch: FloatArray, stress: FloatArray, poisson: float, seed: in
         return np.asarray((columns(exponents) @ shares(exponents) - stress) / scale)
 
     bounds = ([0.5, 2.5, -8.0], [2.5, 12.0, -0.5])
-    starts = [np.array([1.3, 5.0, -2.0]), *rng.uniform(*bounds, size=(RANDOM_STARTS, 3))]
+    # Random starts, since it has many local minima.
+    starts = [np.array([1.3, 5.0, -2.0]), *rng.uniform(*bounds, size=(12, 3))]
     best = min(
         (least_squares(misfit, start, bounds=bounds, xtol=1e-12) for start in starts),
         key=lambda found: float(found.cost),

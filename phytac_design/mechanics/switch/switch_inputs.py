@@ -11,9 +11,6 @@ from phytac_design.mechanics.switch.rubbers import Rubber, rubber
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_shapes.errors import DesignError, InputError
 
-TEST_STRAIN_SHARE = 0.6
-"""Share of a test's largest strain that a switch may reach again and again."""
-
 
 def space_of(design: Design, *, wall_min_mm: float | None = None) -> SwitchSpace:
     """Space of a design's switches: footprint, hole, tip, stroke, and its closest neighbours.
@@ -90,6 +87,7 @@ def chosen_rubber(
             "rubber-law-unknown", f"no law {law!r} of rubbers; known: {', '.join(TERMS)}"
         )
     stretch, stress = read_test(test)
+    share = 0.6  # of the test's largest strain may be reached again and again
     fit = fit_uniaxial(
         stretch,
         stress,
@@ -98,9 +96,9 @@ def chosen_rubber(
     return Rubber(
         name=test.stem,
         material=fit.material,
-        strain_max=TEST_STRAIN_SHARE * (float(stretch.max()) - 1.0),
+        strain_max=share * (float(stretch.max()) - 1.0),
         assumption=(
             f"{law} fitted to {test.name}, {fit.error:.1%} off; Poisson's ratio 0.49 and "
-            f"{TEST_STRAIN_SHARE:.0%} of the test's strain are assumed"
+            f"{share:.0%} of the test's strain are assumed"
         ),
     )

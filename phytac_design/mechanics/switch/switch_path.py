@@ -5,6 +5,7 @@ and is halved where it does not converge, or deviates from the tangents at both 
 nearby branch is not taken for the path.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,9 +17,6 @@ from phytac_design.mechanics.switch.model import AxiModel, State
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-EPS = 4.0 * float(np.finfo(np.float64).eps)
-"""Rounding of a position, of the body's extent."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class SwitchPathSettings:
@@ -28,6 +26,7 @@ class SwitchPathSettings:
     residual_tolerance: float = 1e-9
     """Largest unbalanced force over the sums of absolute element forces."""
     constraint_tolerance: float = 1e-9
+    """Largest gap of the constraint over the step."""
     max_deviation: float = 0.35
     """Largest departure of a step from the trapezoidal rule on the tangents at its ends."""
     min_step_share: float = 1.0 / 24.0
@@ -81,42 +80,8 @@ class PathError(NumericalError):
         self.points = points
 
 
-@dataclass(frozen=True, kw_only=True)
-class PathConstraint:
-    """``normal · (q − anchor) = distance``; with ``quadratic``, ‖q − anchor‖² = distance²."""
-
-    anchor: FloatArray
-    normal: FloatArray
-    distance: float
-    quadratic: bool = False
-
-    @property
-    def slack(self) -> float:
-        """Tolerance of the gap."""
-        return float(
-            SETTINGS.constraint_tolerance * abs(self.distance) ** (2 if self.quadratic else 1)
-        )
-
-    def gap(self, unknowns: FloatArray) -> tuple[FloatArray, float]:
-        """Row and gap of the linearised constraint."""
-        moved = unknowns - self.anchor
-        if self.quadratic:
-            return 2.0 * moved, self.distance**2 - float(moved @ moved)
-        return self.normal, self.distance - float(self.normal @ moved)
-
-
-def rest(model: AxiModel, load: FloatArray) -> PathPoint:
-    """Return the unloaded body.
-
-    Parameters
-    ----------
-    model : AxiModel
-        The body.
-    load : (n,) float
-        Dead force on the unknowns at λ = 1, N.
-    """
-    start = np.zeros(model.count)
-    return _point(load, start, 0.0, _state(model, start))
+Constraint = Callable[[FloatArray], tuple[FloatArray, float, float]]
+"""Row (n,) and gap of a linearised constraint at unknowns (n,), and the gap that is tolerated."""
 
 
 def _state(model: AxiModel, unknowns: FloatArray) -> State:
@@ -153,7 +118,7 @@ def correct(
     model: AxiModel,
     load: FloatArray,
     guess: tuple[FloatArray, float],
-    constraint: PathConstraint,
+    constraint: Constraint,
 ) -> PathPoint:
     """Equilibrium on a constraint, by Newton's method from a guess of q and λ.
 
@@ -168,12 +133,17 @@ def correct(
     for _ in range(SETTINGS.max_iterations):
         state = _state(model, unknowns)
         left = state.force - factor_ * load
-        row, gap = constraint.gap(unknowns)
+        row, gap, slack = constraint(unknowns)
         size = float(np.linalg.norm(left))
         # Under a tiny load forces are as good as the positions they come from are rounded.
-        rounding = EPS * extent * float(np.linalg.norm(state.tangent.diagonal()))
+        rounding = (
+            4.0
+            * np.finfo(np.float64).eps
+            * extent
+            * float(np.linalg.norm(state.tangent.diagonal()))
+        )
         floor = max(SETTINGS.residual_tolerance * state.gross_N, rounding, 1e-300)
-        if size <= floor and abs(gap) <= constraint.slack:
+        if size <= floor and abs(gap) <= slack:
             return _point(load, unknowns, factor_, state)
         first = min(first, size)
         if not np.isfinite(size) or size > 1e6 * max(first, floor):
@@ -227,24 +197,37 @@ class PathControl:
         normal = np.eye(1, model.count, self.unknown)[0]
         rate = move / float(here.drive[self.unknown])
         before = rate * here.drive
-        constraint = PathConstraint(anchor=here.unknowns, normal=normal, distance=move)
+        end = float(here.unknowns[self.unknown]) + move
+
+        def constraint(unknowns: FloatArray) -> tuple[FloatArray, float, float]:
+            gap = end - float(unknowns[self.unknown])
+            return normal, gap, SETTINGS.constraint_tolerance * abs(move)
+
         guess = (here.unknowns + before, here.load_factor + rate)
         found = correct(model, load, guess, constraint)
         after = move / float(found.drive[self.unknown]) * found.drive
         return found, path_deviation(found.unknowns - here.unknowns, before, after)
 
 
-def trace(
-    model: AxiModel, load: FloatArray, control: PathControl, start: PathPoint | None = None
-) -> list[PathPoint]:
-    """Follow a path from rest (or ``start``) until the controlled unknown reaches its end.
+def trace(model: AxiModel, load: FloatArray, control: PathControl) -> list[PathPoint]:
+    """Follow a path from rest until the controlled unknown reaches its end.
+
+    Parameters
+    ----------
+    model : AxiModel
+        The body.
+    load : (n,) float
+        Dead force on the unknowns at λ = 1, N.
+    control : PathControl
+        How far, and in which steps.
 
     Raises
     ------
     PathError
         If it cannot be followed that far; it holds the points found.
     """
-    points = [start or rest(model, load)]
+    still = np.zeros(model.count)
+    points = [_point(load, still, 0.0, _state(model, still))]
     limit = control.longest(points)
     step, max_points = 0.5 * limit, 1 + 3 * control.steps
     while control.remaining_mm(points[-1]) > 1e-9 * abs(control.end_mm):

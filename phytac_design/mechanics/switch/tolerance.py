@@ -11,23 +11,18 @@ from phytac_design.mechanics.switch.switch_space import Tolerance
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, NumericalError
 
-WALLS = 5
-"""Walls between the tolerance's ends (three deviations) that are solved; between them a cubic."""
-LIMIT_DEPTH_SHARE = 0.62
-"""Part of the depth within which bowls reach their limit load."""
-
 
 def limit_load(
     bowl: Bowl, material: Material, *, hole_diameter_mm: float, refine: int
 ) -> float | None:
-    """Limit load, N, of a bowl; None where its force does not fall within ``LIMIT_DEPTH_SHARE``."""
+    """Limit load, N, of a bowl; None where its force does not fall."""
     curve = press_bowl(
         bowl,
         material,
         hole_diameter_mm=hole_diameter_mm,
         refine=refine,
         steps=10,
-        end_mm=LIMIT_DEPTH_SHARE * bowl.depth_mm,
+        end_mm=0.62 * bowl.depth_mm,  # bowls reach their limit load before
     )
     snap = snap_of(curve)
     return None if snap is None else snap.limit_N
@@ -68,8 +63,8 @@ def threshold_spread(
 ) -> Spread:
     """Spread of a bowl's threshold; wall and modulus vary normally and on their own.
 
-    The threshold is proportional to the modulus; over the wall it is solved at ``WALLS`` places
-    and interpolated. Its level comes from ``threshold_N``.
+    The threshold is proportional to the modulus; over the wall it is solved at five places
+    between three deviations, and interpolated. Its level comes from ``threshold_N``.
 
     Raises
     ------
@@ -79,7 +74,7 @@ def threshold_spread(
     from scipy.interpolate import CubicSpline
 
     reach = 1.5 * tolerance.thickness_mm
-    walls = bowl.thickness_mm + np.linspace(-reach, reach, WALLS) if reach else None
+    walls = bowl.thickness_mm + np.linspace(-reach, reach, 5) if reach else None
     rng = np.random.default_rng(seed)
     stiffness = 1.0 + 0.5 * tolerance.modulus * rng.standard_normal(samples).clip(-3.0, 3.0)
     if walls is None:

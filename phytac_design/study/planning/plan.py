@@ -10,7 +10,7 @@ from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage
-from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY
+from phytac_design.mechanics.large.quasi_newton import LINEAR_ERROR_SAFETY
 from phytac_design.stages import STAGES
 from phytac_design.study.planning.cost import Counts, Workload, features, machine_factor, predict
 from phytac_design.study.planning.resolve import STAGES_OF, Resolved, resolve

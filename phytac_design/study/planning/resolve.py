@@ -9,7 +9,7 @@ from phytac_design.design.scene import ContactSection, Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage
 from phytac_design.layout.sensor import Sensor
-from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
+from phytac_design.mechanics.large.quasi_newton import LINEAR_ERROR_SAFETY, QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import marker_size_mm, plain_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
@@ -257,5 +257,6 @@ def linear_error(sensor: Sensor, scope: Scope | None) -> float:
     else:
         places = np.array([window.at(np.array([[0.5, 0.5]]))[0] for window in scope.windows[:3]])
     loads = training.force_max_N * patch_loads(mesh, surface, places, radius).toarray()
-    errors = [check_linear(model, loads[:, k]).error for k in range(len(places))]
+    shell = QuasiNewtonSolver(model)
+    errors = [shell.expand(loads[:, k]).error for k in range(len(places))]
     return LINEAR_ERROR_SAFETY * float(max(errors))

@@ -140,7 +140,7 @@ def reference_presses(
     shift = np.full((len(uv), markers.count, 2), np.nan)
     for k, force in enumerate(contacts.force_N):
         progress(f"audit: press {k + 1} of {len(uv)}")
-        motion = shell.solve(force * unit[:, k]).sample.motion
+        motion = shell.solve(force * unit[:, k]).motion
         if motion is not None:
             shift[k] = vision.shift(kinematics.large(motion.ravel()))
     return ReferencePresses(

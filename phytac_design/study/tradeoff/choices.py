@@ -120,7 +120,7 @@ def _displacement(design: Design, value: Literal["linear", "auto", "large"]) -> 
             if theory == "linear":
                 motion = shell.linear(load)
             else:
-                sample = shell.solve(load, tolerance=0.01 if theory == "auto" else None).sample
+                sample = shell.solve(load, tolerance=0.01 if theory == "auto" else None)
                 motion, large = sample.motion, sample.large
             if motion is not None and large:
                 out[k] = error.image_shift(turned_points(kinematics.large(motion), arm))

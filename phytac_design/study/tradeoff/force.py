@@ -133,7 +133,7 @@ class ForceError:
         motion = np.full((len(forces), count, 6), np.nan)
         shift = np.full((len(forces), 2 * count), np.nan)
         for k, force in enumerate(forces.tolist()):
-            found = shell.solve(force * loads[:, k], linear=force * linear[:, k]).sample.motion
+            found = shell.solve(force * loads[:, k], linear=force * linear[:, k]).motion
             if found is not None:
                 motion[k] = kinematics.large(found)
                 shift[k] = self.image_shift(turned_points(motion[k], self.imaging.arm_mm))

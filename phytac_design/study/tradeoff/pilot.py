@@ -156,7 +156,7 @@ class VisibilityPilot:
             load = force * loads[:, k]
             found: FloatArray | None = shell.linear(load) if tolerance >= 1.0 else None
             if tolerance < 1.0:
-                found = shell.solve(load, tolerance=tolerance).sample.motion
+                found = shell.solve(load, tolerance=tolerance).motion
             if found is not None:
                 motion[k] = found.reshape(-1, 6)[mesh.marker_nodes]
         return self.pressed(motion)
