@@ -12,7 +12,7 @@ from phytac_design.layout.arc import by_area
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.indenter import Indentations
-from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share
+from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
@@ -227,18 +227,10 @@ def tangent_step(surface: Surface, uv: FloatArray, step_mm: FloatArray) -> Float
 
 
 def switch_states(sensor: Sensor, contacts: Contacts) -> Switching:
-    """Apply the activation law: a switch is on when its footprint carries over its threshold.
-
-    Pressure is even over a patch, so a footprint carries the force times the overlapped share.
-    """
+    """Apply the activation law: a switch is on when its footprint carries over its threshold."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    share = footprint_force_share(
-        surface,
-        contacts.uv,
-        contacts.radius_mm,
-        markers.uv,
-        design.switch.footprint_diameter_mm / 2.0,
-    )
+    radius = design.switch.footprint_diameter_mm / 2.0
+    share = footprint_shares(surface, contacts, markers.uv, radius)
     total = np.zeros((contacts.samples, markers.count))
     np.add.at(total, contacts.sample, share * contacts.force_N[:, None])
     return assign_forces(contacts, share, total > thresholds_N(design, markers))

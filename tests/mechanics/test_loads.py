@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 
+from phytac_design.mechanics.indenter import FLAT, Indentations
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.mechanics.shell.loads import patch_loads
-from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share, on_shell_share
+from phytac_design.mechanics.shell.pressure_sharing import on_shell_share
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.cylinder import Cylinder
 from phytac_shapes.discs import disc_overlap_share
 from tests.mechanics.conftest import Prototype
+from tests.mechanics.touches import make_touches
 from tests.refusals import refused
 
 SURFACE = Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
@@ -85,23 +88,27 @@ def test_lens_of_two_discs() -> None:
         assert share == pytest.approx(both.sum() / inside.sum(), abs=0.004)
 
 
+def flat(uv: FloatArray, radius_mm: float) -> Indentations:
+    return make_touches(uv, FLAT, radius_mm=radius_mm)
+
+
 def test_footprint_shares_tile_and_wrap(cylinder60: Prototype) -> None:
     marker, surface = cylinder60.markers.uv, cylinder60.surface
     inner = np.flatnonzero((marker[:, 0] > 10) & (marker[:, 0] < 110))
-    share = footprint_force_share(surface, marker[inner], 6.0, marker, 2.3)
+    share = footprint_shares(surface, flat(marker[inner], 6.0), marker, 2.3)
     own = share[np.arange(len(inner)), inner]
     np.testing.assert_allclose(own, (2.3 / 6.0) ** 2, rtol=1e-12)
     assert np.ptp(share.sum(axis=1)) < 1e-9  # the same at the seam as everywhere
     turned = marker[inner] + [0.0, 2 * np.pi]
     np.testing.assert_allclose(
-        footprint_force_share(surface, turned, 6.0, marker, 2.3), share, atol=1e-9
+        footprint_shares(surface, flat(turned, 6.0), marker, 2.3), share, atol=1e-9
     )
     # A small contact between columns trips nothing.
     between = marker[inner] + [0.0, cylinder60.markers.lattice.pitch_v / 2]
-    assert footprint_force_share(surface, between, 1.0, marker, 1.0).max() == 0.0
+    assert footprint_shares(surface, flat(between, 1.0), marker, 1.0).max() == 0.0
 
 
 def test_force_of_a_contact_over_the_rim_is_carried_by_the_shell() -> None:
     at_rim = np.array([[0.0, 1.0]])
-    share = footprint_force_share(SURFACE, at_rim, 6.0, np.array([[3.0, 1.0]]), 1.0)
+    share = footprint_shares(SURFACE, flat(at_rim, 6.0), np.array([[3.0, 1.0]]), 1.0)
     assert share == pytest.approx(2.0 / 36.0, rel=1e-9)

@@ -76,6 +76,12 @@ class Factor:
     def solve(self, loads: FloatArray) -> tuple[FloatArray, float]:
         """Motion (n, m) under loads (n, m), and the largest relative rounding error over them."""
         right = self.scale[:, None] * loads
+        largest = np.abs(right).max(axis=0, initial=0.0)
+        if np.any((largest > 0.0) & ((largest < 1e-100) | (largest > 1e100))):
+            # Squares of such numbers are none; by powers of two nothing else changes.
+            power = np.frexp(largest)[1]
+            scaled, worst = self.solve(np.ldexp(loads, -power))
+            return np.ldexp(scaled, power), worst
         x = self.backend.solve(right)
         square = x * x
         size = np.sqrt(square.sum(axis=0))

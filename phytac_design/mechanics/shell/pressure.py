@@ -309,6 +309,7 @@ def check_indentations(surface: Surface, contacts: Indentations) -> None:
     _refuse(
         np.hypot(*contacts.friction.T) > max_friction,
         contacts.friction,
+        "contact-friction-too-large",
         f"friction is more than {max_friction:g} times the normal force",
         "give tangential over normal force, not newtons",
     )

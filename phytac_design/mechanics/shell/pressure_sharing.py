@@ -1,16 +1,15 @@
-"""How the pressure of a contact is shared among the switches' footprints.
+"""Pairs of contacts and places near them, and the share of a disc that is on the shell.
 
-A contact is a disc of uniform pressure on the outer face, a footprint is a disc too. Distances
-are chords through space between points of the outer face: they need no chart, wrap by themselves
-around closed surfaces, and differ from the length along the face by (d/R)²/24 (0.2 % for a
-fingertip on the ø60 cylinder).
+Distances are chords through space between points of the outer face: they need no chart, wrap by
+themselves around closed surfaces, and differ from the length along the face by (d/R)²/24 (0.2 % for
+a fingertip on the ø60 cylinder).
 """
 
 import numpy as np
 
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.discs import disc_overlap_share, segment
+from phytac_shapes.discs import segment
 
 TINY = 1e-300
 """Keeps divisions finite."""
@@ -80,38 +79,3 @@ def _corner(a: FloatArray, b: FloatArray) -> FloatArray:
     quarter = np.pi / 2.0 - np.arcsin(a) - np.arcsin(b)
     sides = a * np.sqrt(1.0 - a * a) + b * np.sqrt(1.0 - b * b)
     return np.where(a * a + b * b < 1.0, 0.5 * (quarter - sides) + a * b, 0.0)
-
-
-def footprint_force_share(
-    surface: Surface,
-    contact_uv: FloatArray,
-    contact_radius_mm: FloatArray | float,
-    marker_uv: FloatArray,
-    footprint_radius_mm: FloatArray | float,
-) -> FloatArray:
-    """Share of each contact's force that falls on each marker's footprint, (m, n).
-
-    The force of contact i on footprint j is ``force_N[i] * share[i, j]``; a row sums to 1 at most
-    where footprints do not overlap. A contact that reaches over a rim is carried by its part on
-    the shell alone, at accordingly higher pressure, as in :func:`loads.patch_loads`.
-
-    Parameters
-    ----------
-    surface : Surface
-        The outer face.
-    contact_uv : (m, 2) float
-        Chart positions of the contacts' centres.
-    contact_radius_mm : float or (m,) float
-        Contact radii.
-    marker_uv : (n, 2) float
-        Chart positions of the markers.
-    footprint_radius_mm : float or (n,) float
-        Footprint radii.
-    """
-    contact, marker = surface.point(contact_uv), surface.point(marker_uv)
-    distance = np.linalg.norm(contact[:, None] - marker[None], axis=2)
-    radius = np.broadcast_to(np.asarray(contact_radius_mm, dtype=np.float64), len(contact))
-    footprint = np.broadcast_to(np.asarray(footprint_radius_mm, dtype=np.float64), len(marker))
-    share = disc_overlap_share(distance, radius[:, None], footprint[None])
-    carried = on_shell_share(surface, contact_uv, radius)
-    return np.asarray(share / np.maximum(carried, 1e-12)[:, None])

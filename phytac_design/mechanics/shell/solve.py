@@ -81,12 +81,17 @@ class ShellModel:
             raise NumericalError(
                 "poisson-out-of-range", f"poisson must lie in [0, 0.5) (got {poisson!r})"
             )
-        for label, value in (("thickness_mm", thickness_mm), ("modulus_MPa", modulus_MPa)):
-            if not (np.all(np.isfinite(value)) and np.all(np.asarray(value) > 0.0)):
+        for label, value, low in (
+            ("node coordinates", nodes_mm, -np.inf),
+            ("thickness_mm", thickness_mm, 0.0),
+            ("modulus_MPa", modulus_MPa, 0.0),
+        ):
+            sound = np.isfinite(value) & (np.asarray(value) > low)
+            if not np.all(sound):
                 raise NumericalError(
                     "material-value-invalid",
-                    f"{label} must be finite and positive (least value {np.min(value):g}); correct "
-                    "the model's input",
+                    f"{label} must be finite{'' if low else ' and positive'}: "
+                    f"{np.sum(~sound)} of {np.size(value)} are not; correct the model's input",
                 )
         self.nodes_mm = nodes_mm
         self.quads = quads
@@ -99,7 +104,8 @@ class ShellModel:
         if np.count_nonzero(self.fixed) < 6:
             raise NumericalError(
                 "shell-not-held",
-                "the shell is not held and can move rigidly; fix a rim or add supports",
+                f"the shell is not held: {np.count_nonzero(self.fixed)} of its DOFs are fixed, "
+                "where 6 motions must be blocked; fix a rim or add supports",
             )
         check_directors(nodes_mm, quads, directors)
         self._pattern = make_pattern(quads, len(nodes_mm))
