@@ -8,8 +8,7 @@ import pytest
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
-from phytac_design.geometry.strips import cylinder_mesh
-from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh, cylinder_mesh
 from phytac_design.layout import make_markers
 from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.rules.body_rules import wall_overlap_mm

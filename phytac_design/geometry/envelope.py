@@ -4,8 +4,13 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.boundary_loops import Loop, chart_loops
-from phytac_design.geometry.strips import cylinder_mesh, empty_mesh, grid_mesh
-from phytac_design.geometry.triangles import TriangleMesh, merged
+from phytac_design.geometry.triangles import (
+    TriangleMesh,
+    cylinder_mesh,
+    empty_mesh,
+    grid_mesh,
+    merged,
+)
 from phytac_design.geometry.wall_sampling import untwisted
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray

@@ -3,8 +3,7 @@
 import numpy as np
 
 from phytac_design.design.fixture_table import AnyFixture, BoxFixture, CylinderFixture
-from phytac_design.geometry.strips import cylinder_mesh
-from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh, cylinder_mesh
 from phytac_shapes.arrays import FloatArray
 
 FACES = np.array(

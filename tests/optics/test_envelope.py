@@ -3,8 +3,7 @@ import pytest
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, bar_span_mm, boundary_mm, edge_mm, shell_mesh
-from phytac_design.geometry.strips import grid_mesh
-from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh, grid_mesh
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from tests.fabrication.cases import FAMILIES, family_design

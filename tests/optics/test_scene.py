@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from phytac_design.geometry.strips import grid_mesh
+from phytac_design.geometry.triangles import grid_mesh
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import (
