@@ -16,7 +16,6 @@ from phytac_shapes.errors import InputError
 PLACES = {"marker": ("marker",), "chart": ("u", "v"), "point": ("x_mm", "y_mm", "z_mm")}
 """The three ways to state a position, each a set of columns behind ``contact_`` or ``probe_``."""
 VALUES = ("patch_radius_mm", "force_N", "displacement_mm")
-KNOWN = [f"{what}_{name}" for what in ("contact", "probe") for c in PLACES.values() for name in c]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +129,8 @@ def _columns(path: Path) -> dict[str, FloatArray]:
 
 
 def _check_names(path: Path, names: list[str]) -> None:
-    known = [*VALUES, *KNOWN]
+    places = [name for columns in PLACES.values() for name in columns]
+    known = [*VALUES, *(f"{what}_{name}" for what in ("contact", "probe") for name in places)]
     for name in names:
         if name not in known:
             near = get_close_matches(name, known, n=1)

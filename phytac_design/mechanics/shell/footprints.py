@@ -12,7 +12,7 @@ import numpy as np
 from phytac_design.mechanics.indenter import CYLINDER, FLAT, SPHERE, Indentations
 from phytac_design.mechanics.shell.loads import dot
 from phytac_design.mechanics.shell.pressure import ContactFrames, check_indentations, contact_frames
-from phytac_design.mechanics.shell.pressure_sharing import TINY, near_pairs, on_shell_share
+from phytac_design.mechanics.shell.pressure_sharing import near_pairs, on_shell_share
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.discs import disc_overlap_share
@@ -220,7 +220,7 @@ class _SurfaceTiles:
             rod, np.minimum(half, length / 2.0) / SETTINGS.strip_cells, half / SETTINGS.disc_cells
         )
         with np.errstate(divide="ignore"):
-            wanted = np.ceil(np.log2(self.side / np.maximum(fine, TINY)))
+            wanted = np.ceil(np.log2(self.side / np.maximum(fine, 1e-300)))
         max_count = np.where(rod, SETTINGS.max_cells[1], SETTINGS.max_cells[0])
         count = 2 ** np.clip(wanted, 2, np.log2(max_count)).astype(np.int64)
         i, k, _ = near_pairs(frames.at[contact], frames.reach_mm[contact], self.middle, self.reach)
@@ -240,7 +240,7 @@ class _SurfaceTiles:
                 weight = self._pressed(frames, contact[i[part]], k[part], int(cells))
                 np.add.at(total, i[part], weight)
         plain = np.where(frames.kind[contact] == SPHERE, 2.0 / 3.0, 1.0) * np.pi * half**2
-        return total / np.maximum(np.where(rod, 0.5 * np.pi * half * length, plain), TINY)
+        return total / np.maximum(np.where(rod, 0.5 * np.pi * half * length, plain), 1e-300)
 
     def _pressed(
         self, frames: ContactFrames, contact: IntArray, tile: IntArray, cells: int

@@ -16,15 +16,6 @@ from phytac_shapes.errors import NumericalError
 
 RIMS = ("TOP", "BOTTOM", "LEFT", "RIGHT")
 """Node sets of the open edges, in the order of the files."""
-PHYSICAL = {
-    "SHELL": (1, 2),
-    "TOP": (2, 1),
-    "BOTTOM": (3, 1),
-    "MARKERS": (4, 0),
-    "LEFT": (5, 1),
-    "RIGHT": (6, 1),
-}
-"""Gmsh physical groups: tag and dimension; a file has those that its mesh fills."""
 
 
 def inp_nodes(nodes_mm: FloatArray) -> Iterator[str]:
@@ -151,10 +142,12 @@ def _filled(mesh: ShellMesh) -> dict[str, IntArray]:
 
 def write_msh(path: Path, mesh: ShellMesh) -> Path:
     """Write Gmsh 2.2 (text): physical groups SHELL, one of lines per open edge, MARKERS."""
-    groups = {"SHELL": (*PHYSICAL["SHELL"], "quad", mesh.quads)}
+    # Tag and dimension of each group.
+    physical = {"TOP": (2, 1), "BOTTOM": (3, 1), "MARKERS": (4, 0), "LEFT": (5, 1), "RIGHT": (6, 1)}
+    groups = {"SHELL": (1, 2, "quad", mesh.quads)}
     for key, nodes in _filled(mesh).items():
         cells = ("line", _edges(mesh, nodes)) if key in RIMS else ("vertex", nodes[:, None])
-        groups[key] = (*PHYSICAL[key], *cells)
+        groups[key] = (*physical[key], *cells)
     return write_gmsh(path, mesh.nodes_mm, groups)
 
 

@@ -20,7 +20,6 @@ from phytac_design.mechanics.indenter import CYLINDER, FLAT, SPHERE, Indentation
 from phytac_design.mechanics.meshing.locate import outside
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.loads import PressurePatches, UniformDiscs, dot, spread_loads
-from phytac_design.mechanics.shell.pressure_sharing import TINY
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
@@ -61,7 +60,7 @@ class ContactFrames:
     def places(self, contact: IntArray, arm_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coordinates x, y (p, q) of places ``arm_mm`` (p, q, 3) off contacts (p,)."""
         x, y = dot(arm_mm, self.axis[contact]), dot(arm_mm, self.across[contact])
-        stretch = np.linalg.norm(arm_mm, axis=2) / np.maximum(np.hypot(x, y), TINY)
+        stretch = np.linalg.norm(arm_mm, axis=2) / np.maximum(np.hypot(x, y), 1e-300)
         return x * stretch, y * stretch
 
     def __call__(

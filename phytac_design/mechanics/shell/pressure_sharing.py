@@ -11,9 +11,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.discs import segment
 
-TINY = 1e-300
-"""Keeps divisions finite."""
-
 
 def near_pairs(
     centres: FloatArray, reach: FloatArray, places: FloatArray, sizes: FloatArray
@@ -59,12 +56,12 @@ def on_shell_share(surface: Surface, uv: FloatArray, radius_mm: FloatArray | flo
     metric, domain = surface.metric(uv), surface.domain
     sizes = np.sqrt(metric[:, [0, 1], [0, 1]])
     # At a pole, where all v meet, u still is a length, square to nothing in particular.
-    lean = metric[:, 0, 1] / np.maximum(sizes.prod(axis=1), TINY)
+    lean = metric[:, 0, 1] / np.maximum(sizes.prod(axis=1), 1e-300)
     sine = np.sqrt(np.maximum(1.0 - lean**2, 0.0))
     beyond: tuple[list[FloatArray], list[FloatArray]] = ([], [])
     for axis, end in surface.edges():
         gap = np.abs(uv[:, axis] - domain[axis, end]) * sizes[:, axis] * sine
-        beyond[axis].append(np.minimum(gap / np.maximum(radius, TINY), 1.0))
+        beyond[axis].append(np.minimum(gap / np.maximum(radius, 1e-300), 1.0))
     share = np.ones(len(uv))
     for distance in (*beyond[0], *beyond[1]):
         share -= segment(np.arccos(distance)) / np.pi
