@@ -26,7 +26,7 @@ from phytac_decoder.serving.sensor_loop import Progress
 from phytac_design.cli import decode_command
 from phytac_design.cli.decode_command import FramePrinter, decode
 from phytac_shapes.arrays import ImageArray
-from phytac_shapes.errors import InputError, PhytacError
+from phytac_shapes.errors import PhytacError
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
 from tests.refusals import refused
 
@@ -342,16 +342,16 @@ def test_progress_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_errors(toy: Path, tmp_path: Path) -> None:
-    for words, message in (
-        ((tmp_path, toy / "frames"), "no decoder bundle in"),
-        ((toy / "decoder", tmp_path / "none"), "no frames at"),
-        ((toy / "decoder", tmp_path / "none.png"), "no image at"),
-        ((toy / "decoder", toy / "frames", toy / "frames"), "has one camera"),
-        ((toy / "decoder", toy / "frames", "--estimator", "auto"), "no estimator 'auto'; known"),
-        ((toy / "decoder", toy / "frames", "--fps", "-1"), "a rate lies above 0"),
-        ((toy / "decoder", toy / "frames" / "frame_1.png", "--rest", "no.png"), "no image at no"),
+    for words, code in (
+        ((tmp_path, toy / "frames"), "bundle-not-found"),
+        ((toy / "decoder", tmp_path / "none"), "file-unreadable"),
+        ((toy / "decoder", tmp_path / "none.png"), "file-unreadable"),
+        ((toy / "decoder", toy / "frames", toy / "frames"), "camera-count"),
+        ((toy / "decoder", toy / "frames", "--estimator", "auto"), "estimator-unknown"),
+        ((toy / "decoder", toy / "frames", "--fps", "-1"), "frame-rate-invalid"),
+        ((toy / "decoder", toy / "frames" / "frame_1.png", "--rest", "no.png"), "file-unreadable"),
     ):
-        with pytest.raises(InputError, match=message):
+        with refused(code):
             run(*words)
 
 

@@ -25,7 +25,6 @@ from phytac_design.design.design_file import design_hash, parse_design, to_toml
 from phytac_design.layout import make_markers
 from phytac_design.layout.region_chart import chart_of_design, design_regions
 from phytac_design.rules.check import check_design
-from phytac_shapes.errors import InputError
 from tests.decoder.toy_sensor import toy_bundle
 from tests.designs import changed, small
 from tests.refusals import refused
@@ -127,14 +126,18 @@ def test_rows_and_shares_need_the_design(tmp_path: Path) -> None:
 def test_files_that_are_none(tmp_path: Path) -> None:
     with refused("file-unreadable"):
         load_regions(tmp_path / "none.toml", PLACES)
-    for name, data, message in (
-        ("a.json", b"[1]", "no table of regions"),
-        ("b.json", b"[" * 100000, "is no JSON"),
-        ("c.json", b'{"regions": [{"name": "a", "rows": [0, 1' + b"0" * 400 + b"]}]}", "2 numbers"),
-        ("d.toml", b"\xff\xfe\x00", "no regions at"),
+    for name, data, code in (
+        ("a.json", b"[1]", "regions-file-invalid"),
+        ("b.json", b"[" * 100000, "file-syntax"),
+        (
+            "c.json",
+            b'{"regions": [{"name": "a", "rows": [0, 1' + b"0" * 400 + b"]}]}",
+            "region-number-invalid",
+        ),
+        ("d.toml", b"\xff\xfe\x00", "file-unreadable"),
     ):
         (tmp_path / name).write_bytes(data)
-        with pytest.raises(InputError, match=message):
+        with refused(code):
             load_regions(tmp_path / name, PLACES, CHART)
     many = [{"name": f"r{k}", "markers": [0]} for k in range(REGIONS_MAX + 1)]
     (tmp_path / "many.json").write_text(json.dumps({"regions": many}))

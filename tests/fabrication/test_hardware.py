@@ -23,7 +23,6 @@ from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import to_triangles
-from phytac_shapes.errors import DesignError
 from tests.fabrication.hardware_cases import SHIPPED, case, changed, solids, switches
 from tests.refusals import refused
 
@@ -229,46 +228,47 @@ def test_two_cameras_get_two_mounts_and_no_bar() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "tables", "match"),
+    ("name", "tables", "code"),
     [
-        ("cylinder60", {"hardware": {"screw_clamp": "M5"}}, "M5 set screws do not fit the rim"),
-        ("cylinder60", {"hardware": {"screw_camera": "M5"}}, "M5 screws of the camera's cover"),
-        ("cylinder60", {"hardware": {"wall_mm": 2.0}}, "too little thread"),
+        ("cylinder60", {"hardware": {"screw_clamp": "M5"}}, "set-screw-edge-distance"),
+        ("cylinder60", {"hardware": {"screw_camera": "M5"}}, "screw-thread-too-short"),
+        ("cylinder60", {"hardware": {"wall_mm": 2.0}}, "set-screw-thread-short"),
         (
             "cylinder60",
             {"hardware": {"board_size_mm": (180.0, 180.0)}},
-            "mount is too large: 187 x 187",
+            "hardware-exceeds-bed",
         ),
-        ("cylinder60", {"hardware": {"lens_diameter_mm": 70.0}}, "lens of ø70 mm does not fit"),
+        ("cylinder60", {"hardware": {"lens_diameter_mm": 70.0}}, "hardware-part-too-wide"),
         (
             "cylinder60",
             {"camera": {"stand_off_mm": 34.0}, "hardware": {"lens_pupil_mm": 32.0,
              "lens_length_mm": 40.0}},
-            r"its lens would reach 2\.0 mm past",
+            "camera-unit-too-long",
         ),
-        ("cylinder60", {"hardware": {"lens_length_mm": 5.0}}, "plate would stand before the lens"),
-        ("cone", {"hardware": {"lens_diameter_mm": 44.0}}, "light ring of ø"),
+        ("cylinder60", {"hardware": {"lens_length_mm": 5.0}}, "mount-before-lens"),
+        ("cone", {"hardware": {"lens_diameter_mm": 44.0}}, "hardware-part-too-wide"),
         ("cylinder60", {"light": {"bar_radius_mm": 3.0},
                         "hardware": {"adapter": "handle", "adapter_diameter_mm": 60.0}},
-         "does not fit the connector"),
-        ("plane", {"hardware": {"adapter": "handle"}}, "no end for a shaft"),
+         "adapter-too-wide"),
+        ("plane", {"hardware": {"adapter": "handle"}}, "adapter-on-sheet"),
         ("plane", {"shape": {"tilt_deg": 40.0}, "hardware": {"clamps": 5},
-                   "camera": {"stand_off_mm": 90.0}}, "leans by 40°"),
-        ("plane", {"wall": {"rim_length_mm": 1.0}, "hardware": {"clamps": 5}}, "no hold"),
-        ("cylinder60", {"wall": {"rim_length_mm": 0.0}, "hardware": {"clamps": 5}}, "no hardware"),
+                   "camera": {"stand_off_mm": 90.0}}, "rim-lean-too-large"),
+        ("plane", {"wall": {"rim_length_mm": 1.0}, "hardware": {"clamps": 5}}, "rim-too-short"),
+        ("cylinder60", {"wall": {"rim_length_mm": 0.0}, "hardware": {"clamps": 5}},
+         "hardware-needs-rim"),
         (
             "cylinder60",
             {"wall": {"thickness_mm": 0.4, "rim_flange_mm": 0.4, "rim_length_mm": 6.0}},
-            "too strong for the rim",
+            "set-screw-too-strong",
         ),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_refused(name: str, tables: dict[str, Any], match: str) -> None:
+def test_what_does_not_fit_is_refused(name: str, tables: dict[str, Any], code: str) -> None:
     design = changed(name, **tables)
-    with pytest.raises(DesignError, match=match):
+    with refused(code):
         make_hardware(design, design.surface())
     if design.hardware != case(name)[0].hardware:
-        with pytest.raises(DesignError, match=match):
+        with refused(code):
             check_hardware(design, design.surface())
 
 

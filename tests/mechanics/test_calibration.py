@@ -368,7 +368,7 @@ def test_positions_are_given_in_three_ways(tmp_path: Path) -> None:
         (GOOD.replace("\n4,", "\n4.5,"), "csv-value-range"),
         (
             GOOD.replace("contact_marker", "probe_marker"),
-            "csv-position-ambiguous",
+            "csv-columns-ambiguous",
         ),
         (
             "contact_u,contact_v,patch_radius_mm,force_N,displacement_mm\n61,0,4,1,0.01",
@@ -392,6 +392,6 @@ def test_files_that_are_not_text_or_not_there_are_refused(tmp_path: Path) -> Non
     surface = design.surface()
     markers = make_markers(design, surface)
     (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x81")
-    for name, message in (("b.csv", "not even text"), ("none.csv", "no measurements at")):
-        with pytest.raises(InputError, match=message):
+    for name, code in (("b.csv", "file-not-csv"), ("none.csv", "file-unreadable")):
+        with refused(code):
             read_measurements(tmp_path / name, surface, markers, wall_mm=0.8)

@@ -32,7 +32,8 @@ from phytac_design.workflows.import_rig import (
     import_rig,
     lens_difference_px,
 )
-from phytac_shapes.errors import InputError, OutputError, PhytacError
+from phytac_shapes.errors import InputError
+from tests.refusals import refused
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig"
 DESIGN = load_design(str(EXAMPLE / "rig.toml"))
@@ -183,10 +184,10 @@ def test_inputs_alone(bring: Import, bundle: Path, tmp_path: Path) -> None:
     item = DataSet(folder=tmp_path / "data", samples=read, meta=meta, sha256="")
     model = load_bundle(bundle).model
     check_inputs(item, model, "draft")
-    with pytest.raises(InputError, match=r"K·u of another decoder \(norm .* N/mm, here"):
+    with refused("inputs-other-decoder"):
         check_inputs(item, replace(model, stiffness=1.02 * model.stiffness), "draft")
     silent = replace(item, meta=replace(meta, notes={}))
-    with pytest.raises(InputError, match="unknown norm"):
+    with refused("inputs-other-decoder"):
         check_inputs(silent, model, "draft")
 
 
@@ -214,8 +215,9 @@ def test_a_video_gives_what_its_images_give(bring: Import, tmp_path: Path) -> No
     np.testing.assert_array_equal(got.shift_px, expected.shift_px)
     kept = cv2.imread(str(tmp_path / "data" / "frames" / "000000.png"))
     assert kept.shape == (480, 640, 3)
-    with pytest.raises(InputError, match="give --offset-s, the seconds to add to the log's clock"):
+    with refused("rig-clocks-differ") as caught:
         import_again(bring, tmp_path, log, video)
+    caught.match("--offset-s")
 
 
 def import_again(bring: Import, folder: Path, *words: object, **settings: object) -> ImportResult:
@@ -237,8 +239,9 @@ def test_frames_that_show_no_sensor(bring: Import, tmp_path: Path) -> None:
     shutil.copytree(EXAMPLE / "frames", frames)
     cv2.imwrite(str(frames / "frame_0003.jpg"), np.zeros((480, 640, 3), np.uint8))
     (frames / "frame_0005.jpg").write_bytes(b"no image")
-    with pytest.raises(InputError, match=r"2 problems in .*line 6: frame 'frame_0003.jpg': found"):
+    with refused("rig-rows-invalid") as caught:
         bring(frames=frames)
+    caught.match("line 6: frame 'frame_0003.jpg'")
     assert not (tmp_path / "data").exists()
     done = bring(frames=frames, skip_bad=True, keep="frames")
     assert (done.samples.count, done.left_out) == (3, 2)
@@ -263,7 +266,7 @@ def test_frames_of_another_camera_mode(bring: Import, tmp_path: Path) -> None:
     frames.mkdir()
     for item in sorted((EXAMPLE / "frames").iterdir()):
         cv2.imwrite(str(frames / item.name), cv2.resize(cv2.imread(str(item)), (320, 240)))
-    with pytest.raises(InputError, match=r"^image is 320x240 px, the decoder was made for 640x480"):
+    with refused("frame-size"):
         bring(frames=frames, rest=str(EXAMPLE / "frames" / "frame_0000.jpg"), skip_bad=True)
 
 
@@ -308,7 +311,7 @@ def test_all_problems_of_a_log_in_one_error(bring: Import, tmp_path: Path) -> No
     assert text.count("line ") == 10
     assert "no single frame '6'" in text
     assert text.endswith("and 2 more; correct them, or leave these samples out with --skip-bad")
-    with pytest.raises(InputError, match="no sample is usable"):
+    with refused("rig-no-usable-samples"):
         bring(log_of(rows), skip_bad=True)
     assert not (tmp_path / "data").exists()
 
@@ -327,7 +330,7 @@ def test_a_sample_without_contact(bring: Import) -> None:
     done = bring(log_of(["0,0,0,,,,0,", *ROWS]), radius_mm=4.0, skip_bad=True)
     assert done.left_out == 1  # its radius is no number
     done_log = log_of(["0,0,0,,,,0,4", *ROWS])
-    with pytest.raises(OutputError, match="is there already"):
+    with refused("output-exists"):
         bring(done_log)
 
 
@@ -365,17 +368,16 @@ def test_lenses_are_compared(bring: Import, bundle: Path, tmp_path: Path) -> Non
     assert done.meta.notes["lenses"][0]["most_px"] == pytest.approx(2.0, rel=0.01)
     shutil.rmtree(tmp_path / "data")
     wrong = replace(lens, fx_px=1.05 * lens.fx_px, fy_px=1.05 * lens.fy_px)
-    with pytest.raises(InputError, match=r"more than 8\.0 px; set camera\.calibration"):
+    with refused("lens-differs"):
         bring(cameras=(write_lens(wrong, tmp_path / "c.yaml", "kalibr"),))
     other = replace(lens, width_px=1280, height_px=960)
-    with pytest.raises(InputError, match="is of 1280x960 px, the decoder was made for 640x480"):
+    with refused("lens-image-size"):
         bring(cameras=(write_lens(other, tmp_path / "d.yaml", "ros"),))
 
 
 def test_a_decoder_of_another_design(bundle: Path, tmp_path: Path) -> None:
     other = DESIGN.model_copy(update={"description": "other"})
-    refused: type[PhytacError] = InputError
-    with pytest.raises(refused, match="was built for another state of the design 'rig'"):
+    with refused("decoder-of-other-design"):
         import_rig(
             other,
             EXAMPLE / "log.csv",
@@ -383,5 +385,5 @@ def test_a_decoder_of_another_design(bundle: Path, tmp_path: Path) -> None:
             bundle=bundle,
             out=tmp_path / "data",
         )
-    with pytest.raises(InputError, match="has 1 cameras"):
+    with refused("camera-count"):
         import_rig(DESIGN, EXAMPLE / "log.csv", frames=[], bundle=bundle, out=tmp_path / "data")

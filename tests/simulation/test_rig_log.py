@@ -20,7 +20,6 @@ from phytac_design.simulation.rig_import.rig_frames import (
 )
 from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems, read_rig_log
 from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import InputError
 from tests.designs import drawn
 from tests.refusals import refused
 
@@ -45,27 +44,27 @@ def touched(folder: Path, *lines: str, off_mm: float = 2.0) -> tuple[Contacts, R
 
 
 FILES = {
-    "text": (["frame,marker,force_n,radius"], "unknown column 'force_n'; did you mean 'force_N'"),
-    "unit": (["frame,marker,force_mN"], "units are those of 'force_N': convert its numbers"),
-    "metres": (["frame,x_m,y_m,z_m,force_N"], "units are those of 'x_mm'"),
-    "ms": (["timestamp_ms,marker,force_N"], "units are those of 'timestamp_s'"),
-    "twice": (["frame,marker,marker,force_N"], "'marker' stands there twice"),
-    "no place": (["frame,force_N"], "position must be given by exactly one of x_mm,y_mm,z_mm or"),
-    "two places": (["frame,marker,u,v,force_N"], "position must be given by exactly one"),
-    "half place": (["frame,x_mm,y_mm,force_N"], "position must be given by exactly one"),
-    "no force": (["frame,marker"], "force must be given by exactly one of force_N or fx_N"),
-    "no frame": (["marker,force_N"], "add a column 'frame'"),
-    "fields": (["frame,marker,force_N", "1,2"], "line 2: 2 fields for 3 columns"),
-    "semicolons": (["frame;marker;force_N"], "stand in one field; fields are separated by commas"),
-    "empty": (["frame,marker,force_N"], "holds no contacts"),
+    "text": (["frame,marker,force_n,radius"], "csv-column-unknown"),
+    "unit": (["frame,marker,force_mN"], "csv-column-unknown"),
+    "metres": (["frame,x_m,y_m,z_m,force_N"], "csv-column-unknown"),
+    "ms": (["timestamp_ms,marker,force_N"], "csv-column-unknown"),
+    "twice": (["frame,marker,marker,force_N"], "csv-column-duplicate"),
+    "no place": (["frame,force_N"], "csv-columns-ambiguous"),
+    "two places": (["frame,marker,u,v,force_N"], "csv-columns-ambiguous"),
+    "half place": (["frame,x_mm,y_mm,force_N"], "csv-columns-ambiguous"),
+    "no force": (["frame,marker"], "csv-columns-ambiguous"),
+    "no frame": (["marker,force_N"], "rig-frame-column-missing"),
+    "fields": (["frame,marker,force_N", "1,2"], "csv-row-length"),
+    "semicolons": (["frame;marker;force_N"], "csv-separator"),
+    "empty": (["frame,marker,force_N"], "csv-empty"),
 }
 
 
 @pytest.mark.parametrize("case", FILES)
 def test_files_that_are_no_log(tmp_path: Path, case: str) -> None:
-    lines, message = FILES[case]
+    lines, code = FILES[case]
     rows = lines if case in ("fields", "empty") else [*lines, "1" + ",1" * lines[0].count(",")]
-    with pytest.raises(InputError, match=message):
+    with refused(code):
         read(tmp_path, *rows)
 
 

@@ -175,7 +175,7 @@ def _place(
     if len(given) != 1 or not all(f"{what}_{c}" in table for c in PLACES[next(iter(given))]):
         sets = " or ".join(",".join(f"{what}_{c}" for c in cols) for cols in PLACES.values())
         raise InputError(
-            "csv-position-ambiguous",
+            "csv-columns-ambiguous",
             f"{path}: the {what}'s position must be given by exactly one of {sets}",
         )
     kind = given.pop()

@@ -247,7 +247,7 @@ def _check_names(path: Path, names: list[str]) -> None:
         if len(begun) != 1 or not set(begun[0]) <= set(names):
             sets = " or ".join(",".join(way) for way in ways)
             raise InputError(
-                "csv-position-ambiguous",
+                "csv-columns-ambiguous",
                 f"{path}: a contact's {what} must be given by exactly one of {sets}",
             )
     if not set(MATCHES) & set(names):
