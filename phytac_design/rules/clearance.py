@@ -12,15 +12,14 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-ROUND = {"cylinder": "radius", "cuboid": "edge_radius_mm"}
-"""What limits the wall of a shape, in its own words."""
-
 
 def check_wall(design: Design, surface: Surface) -> None:
     """Check that the wall leaves a hollow."""
     thickness, reach = design.wall.thickness_mm, surface.inner_reach_mm()
     if thickness >= reach:
-        limit = ROUND.get(surface.name, "smallest radius of curvature")
+        # What limits the wall of a shape, in its own words.
+        limits = {"cylinder": "radius", "cuboid": "edge_radius_mm"}
+        limit = limits.get(surface.name, "smallest radius of curvature")
         more = " or raise shape.edge_radius_mm" if surface.name == "cuboid" else ""
         refuse(
             "wall-too-thick",

@@ -17,15 +17,6 @@ from phytac_design.solids.mesh_export import DISPLAY_COLOURS
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-PART_COLOURS = {
-    "": (150, 175, 205),
-    "shell": DISPLAY_COLOURS["resin"][:3],
-    "camera": (60, 120, 80),
-    "light": (250, 225, 110),
-    "ring": (250, 225, 110),
-    "screw": (120, 122, 128),
-}
-
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
@@ -37,7 +28,14 @@ class Body:
 
 def part_colour(name: str) -> tuple[int, int, int]:
     """Colour of a part of the hardware, by the first word of its name."""
-    return PART_COLOURS.get(name.partition("_")[0], PART_COLOURS[""])
+    colours = {
+        "shell": DISPLAY_COLOURS["resin"][:3],
+        "camera": (60, 120, 80),
+        "light": (250, 225, 110),
+        "ring": (250, 225, 110),
+        "screw": (120, 122, 128),
+    }
+    return colours.get(name.partition("_")[0], (150, 175, 205))
 
 
 def switch_bodies(
