@@ -26,7 +26,7 @@ from torch import nn
 from torch.nn import functional
 
 from phytac_design.datasets.samples import FAILED, Samples
-from phytac_design.datasets.samples_writer import FRAMES
+from phytac_design.datasets.samples_file import FRAMES
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 FRAME_PX = (160, 120)

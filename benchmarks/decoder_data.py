@@ -16,8 +16,7 @@ import numpy as np
 
 from benchmarks.twin_engine import changed
 from phytac_design.datasets.samples import FAILED, DataSetInfo, Samples
-from phytac_design.datasets.samples_reader import read_samples
-from phytac_design.datasets.samples_writer import TABLE, file_hash
+from phytac_design.datasets.samples_file import TABLE, file_hash, read_samples
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import design_hash, load_design, parse_design
 from phytac_design.design.spec import Design

@@ -22,7 +22,7 @@ from phytac_design.simulation.imaging.imaging_model import ImagingModel
 from phytac_design.simulation.imaging.nominal_view import expected_views
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.linear_response import motion_responses, superpose
-from phytac_design.simulation.scenario.scenario_sections import SolveSection
+from phytac_design.simulation.scenario.scenario_file import SolveSection
 from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
 from phytac_design.stages.build import copy_of
 from phytac_shapes import Surface

@@ -6,8 +6,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.harness import Table
-from phytac_design.datasets.samples_reader import read_samples
-from phytac_design.datasets.samples_writer import FILE, TABLE
+from phytac_design.datasets.samples_file import FILE, TABLE, read_samples
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario

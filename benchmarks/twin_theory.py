@@ -16,7 +16,7 @@ from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.simulation.contacts import Contacts, draw_contacts
 from phytac_design.simulation.linear_response import point_motions, turned_points
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
-from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
 from phytac_shapes.arrays import FloatArray
 

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from phytac_design.cli.app import app
 from phytac_design.cli.cache_command import duration_s, size_bytes
-from phytac_design.engine import cache, cache_eviction
+from phytac_design.engine import cache
 from tests.refusals import refused
 
 KEY = "a1b2c3d4e5f6" * 5
@@ -111,7 +111,7 @@ def test_prune_sweeps_what_the_dead_left_and_spares_what_the_living_make(root: P
     assert line(dead) == line(alive) == "at it"
     dead.kill()
     dead.communicate()
-    done = cache_eviction.prune(limit_bytes=0.0)
+    done = cache.prune(limit_bytes=0.0)
     assert done.leftovers == 1
     assert line(alive) == "alive"
     alive.communicate()
@@ -154,7 +154,7 @@ def test_verify_finds_changed_bytes_and_drops_them() -> None:
     folder = cache.publish("views", KEY, writes("right"))
     cache.publish("shell", KEY, writes("other"))
     (folder / "out.txt").write_text("wrong")
-    assert cache_eviction.damaged() == [folder]
+    assert cache.damaged() == [folder]
     shown = CliRunner().invoke(app, ["cache", "--verify", "--json"])
     assert shown.exit_code == 0
     assert json.loads(shown.stdout)["damaged"] == 1
@@ -176,15 +176,15 @@ def three() -> list[Path]:
 def test_the_least_recently_used_goes_first() -> None:
     old, middle, new = three()
     assert cache.lookup("views", "0" * 60) == old  # which is now the last used
-    size = sum(entry.size_bytes for entry in cache_eviction.entries())
-    done = cache_eviction.prune(limit_bytes=size - 1)
+    size = sum(entry.size_bytes for entry in cache.entries())
+    done = cache.prune(limit_bytes=size - 1)
     assert (done.dropped, done.in_use) == (1, 0)
     assert [path.exists() for path in (old, middle, new)] == [True, False, True]
 
 
 def test_what_was_not_used_for_long_goes() -> None:
     old, middle, new = three()
-    assert cache_eviction.prune(limit_bytes=float("inf"), older_than_s=250.0).dropped == 1
+    assert cache.prune(limit_bytes=float("inf"), older_than_s=250.0).dropped == 1
     assert [path.exists() for path in (old, middle, new)] == [False, True, True]
 
 
@@ -192,10 +192,10 @@ def test_what_is_read_stays_whatever_the_limit() -> None:
     old, middle, new = three()
     with cache.held(middle) as there:
         assert there
-        done = cache_eviction.prune(limit_bytes=0.0)
+        done = cache.prune(limit_bytes=0.0)
         assert (done.dropped, done.in_use) == (2, 1)
         assert [path.exists() for path in (old, middle, new)] == [False, True, False]
-    assert cache_eviction.prune(limit_bytes=0.0).dropped == 1
+    assert cache.prune(limit_bytes=0.0).dropped == 1
     with cache.held(middle) as there:
         assert not there
 
@@ -264,5 +264,5 @@ def test_times() -> None:
 def test_a_limit_that_is_no_size_is_refused(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PHYTAC_CACHE_GB", text)
     with refused("cache-size-invalid") as caught:
-        cache_eviction.limit_bytes()
+        cache.limit_bytes()
     caught.match("PHYTAC_CACHE_GB")

@@ -26,10 +26,9 @@ from benchmarks.decoder_shapes import add_rows_cycles
 from benchmarks.harness import Table
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_design.datasets.samples import FAILED, Samples
-from phytac_design.datasets.samples_writer import write_samples
+from phytac_design.datasets.samples_file import write_samples
 from phytac_design.simulation.cramer_rao import cell_prior
-from phytac_design.simulation.run.data_set import data_set_info
-from phytac_design.simulation.run.job import Job
+from phytac_design.simulation.run.job import Job, data_set_info
 from tests.designs import small
 from tests.made_up import at, found_of
 from tests.refusals import refused

@@ -16,7 +16,7 @@ from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, save_bundle
 from phytac_design.cli.app import app
 from phytac_design.datasets.samples import DataSetInfo, Samples
-from phytac_design.datasets.samples_writer import file_hash, write_samples
+from phytac_design.datasets.samples_file import file_hash, write_samples
 from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
 from phytac_design.training.evaluation.evaluation_plots import decoded_against_true

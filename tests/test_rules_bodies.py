@@ -10,7 +10,7 @@ from phytac_design.design.spec import Design
 from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
 from phytac_design.geometry.triangles import TriangleMesh, cylinder_mesh
 from phytac_design.layout import make_markers
-from phytac_design.optics.fixture_bodies import fixture_mesh
+from phytac_design.optics.render_scene import fixture_mesh
 from phytac_design.rules.body_rules import wall_overlap_mm
 from phytac_design.rules.check import check_design
 from phytac_shapes.arrays import FloatArray

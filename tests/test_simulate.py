@@ -20,8 +20,7 @@ from phytac_decoder.io.recorded_frames import read_image
 from phytac_design.cli.app import app
 from phytac_design.core.journal import Journal
 from phytac_design.datasets.samples import STATUSES, Samples
-from phytac_design.datasets.samples_reader import read_samples
-from phytac_design.datasets.samples_writer import FILE, TABLE
+from phytac_design.datasets.samples_file import FILE, TABLE, read_samples
 from phytac_design.design.design_file import load_design, to_toml
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario

@@ -13,7 +13,7 @@ from phytac_decoder.estimation.cascade_network import ACTIVATIONS, CascadeNetwor
 from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_design.cli.app import app
 from phytac_design.datasets.samples import Samples, inputs_alone, key_nodes
-from phytac_design.datasets.samples_writer import write_samples
+from phytac_design.datasets.samples_file import write_samples
 from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.engine.stage import Context
 from phytac_design.stages.build import run_stages, select_stages

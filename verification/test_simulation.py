@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.datasets.samples import STATUSES
-from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.datasets.samples_file import read_samples
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
@@ -16,16 +16,16 @@ from phytac_design.simulation.contacts import draw_contacts, switch_states
 from phytac_design.simulation.linear_response import motion_responses, superpose
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.instance_scatter import (
-    CUT_SD,
     draw_sensor_instance,
 )
-from phytac_design.simulation.scenario.scenario_file import parse_scenario
-from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection, parse_scenario
 from phytac_design.simulation.sensor_instance import thickness_factor
 from phytac_design.workflows.simulate import simulate
 from verification.case import Case, Cases, Evidence, Expect, Recorder, verify
 from verification.designs import SHAPES, design_of, numbers_of
 from verification.faces import face_of
+
+CUT_SD = 3.0
 
 UNLIKELY = 1e-6
 """Probability that a correct draw fails a test of its spread."""

@@ -21,7 +21,7 @@ from phytac_decoder.pipeline.frame_reading import read as read_measured
 from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
 from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_design.datasets.samples import FAILED, Samples
-from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.datasets.samples_file import read_samples
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout.region_chart import chart_of_design

@@ -25,16 +25,16 @@ def cache(
 ) -> None:
     """Show the cache of finished stages, or make room in it."""
     from phytac_design.core.cache_folder import cache_root
-    from phytac_design.engine import cache_eviction
+    from phytac_design.engine import cache as store
 
     limit = float("inf") if prune is None else size_bytes(prune)
     oldest_s = float("inf") if older_than is None else duration_s(older_than)
-    damaged = cache_eviction.damaged() if verify else []
-    kept = [folder for folder in damaged if not cache_eviction.drop(folder)]
+    damaged = store.damaged() if verify else []
+    kept = [folder for folder in damaged if not store.drop(folder)]
     done = None
     if prune is not None or older_than is not None:
-        done = cache_eviction.prune(limit_bytes=limit, older_than_s=oldest_s)
-    every = cache_eviction.entries()
+        done = store.prune(limit_bytes=limit, older_than_s=oldest_s)
+    every = store.entries()
     total = sum(entry.size_bytes for entry in every)
     stages = {
         name: [entry for entry in every if entry.stage == name]
@@ -43,7 +43,7 @@ def cache(
     facts = {
         "folder": str(cache_root()),
         "bytes": total,
-        "limit_bytes": cache_eviction.limit_bytes(),
+        "limit_bytes": store.limit_bytes(),
         "results": len(every),
         "stages": {
             name: {
@@ -75,7 +75,7 @@ def cache(
         typer.echo(f"dropped {done.dropped} results, {done.freed_bytes / 1e6:.1f} MB{stay}")
     typer.echo(
         f"{cache_root()}: {len(every)} results, {total / 1e6:.1f} MB; builds keep it within "
-        f"{cache_eviction.limit_bytes() / 1e9:g} GB (PHYTAC_CACHE_GB)"
+        f"{store.limit_bytes() / 1e9:g} GB (PHYTAC_CACHE_GB)"
     )
     for name, group in stages.items():
         size = sum(entry.size_bytes for entry in group) / 1e6

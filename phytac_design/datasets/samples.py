@@ -1,12 +1,12 @@
 """Samples of a sensor, simulated or measured: contacts, observations and true forces."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.cascade_network import network_features
+from phytac_decoder.estimation.cascade_network import CascadeNetwork, network_features
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
@@ -15,7 +15,6 @@ STATUSES = ("ok", "flagged", "failed")
 """A flagged sample has numbers and a reason to distrust them; a failed one has none."""
 THEORIES = ("rest", "linear", "large", "real")
 """Origin of a sample's motion; ``real`` is measured on a sensor."""
-INDENTERS = ("flat", "sphere", "cylinder")
 FAILED = STATUSES.index("failed")
 REAL = THEORIES.index("real")
 
@@ -354,3 +353,41 @@ def split_sequences(samples: Samples, shares: Sequence[float], *, seed: int) -> 
         part[group] = chosen
         missing[chosen] -= size[group]
     return [usable[part[member] == number] for number in range(len(wanted))]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeyNodeData:
+    """One row per key node of interest (a marker whose switch is on).
+
+    Attributes
+    ----------
+    features : (m, 10) float
+        u of the node and its eight neighbours (mm), z (mm); see ``network_features``.
+    apparent_mm : (m,) float
+        u of the node itself.
+    stiffness_force_N : (m,) float
+        (K·U) at the node.
+    force_N : (m,) float
+        True force carried by the node.
+    sample : (m,) int
+        Sample the row belongs to.
+    """
+
+    features: FloatArray
+    apparent_mm: FloatArray
+    stiffness_force_N: FloatArray
+    force_N: FloatArray
+    sample: IntArray
+
+    def take(self, samples: IntArray) -> "KeyNodeData":
+        """Return the rows of some samples."""
+        keep = np.isin(self.sample, samples)
+        return KeyNodeData(
+            **{field.name: getattr(self, field.name)[keep] for field in fields(self)}
+        )
+
+    def rmse_N(self, network: CascadeNetwork) -> float:
+        """Return the force error (root mean square) of a network; NaN without rows."""
+        stiffness = network(self.features)
+        error = self.stiffness_force_N + stiffness * self.apparent_mm - self.force_N
+        return float(np.sqrt((error**2).mean())) if len(error) else float("nan")

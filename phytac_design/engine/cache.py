@@ -13,20 +13,18 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from importlib.util import find_spec
+from math import isfinite
 from pathlib import Path
 from typing import IO, Any
 
 from phytac_design.core.cache_folder import cache_root
-from phytac_shapes.errors import OutputError
+from phytac_shapes.errors import DesignError, OutputError
 
 RECORD = "stage.json"
-CHECKSUM = "checksum"
-"""Key of the record's own hash, over all its other keys."""
-SOURCES = {".py", ".js", ".css", ".html"}
-"""Suffixes of the program's own files: pages are made of more than Python."""
 LOCK = ".lock"
 """What the file ends in that is locked while a result of its key is made."""
 
@@ -34,11 +32,13 @@ LOCK = ".lock"
 @cache
 def code_hash() -> str:
     """Hash of the project's own source: a changed program makes new results."""
+    # Suffixes of the program's own files: pages are made of more than Python.
+    sources = {".py", ".js", ".css", ".html"}
     digest = sha256()
     for package in ("phytac_shapes", "phytac_decoder", "phytac_design"):
         spec = find_spec(package)
         for folder in spec.submodule_search_locations or () if spec else ():
-            for path in sorted(p for p in Path(folder).rglob("*") if p.suffix in SOURCES):
+            for path in sorted(p for p in Path(folder).rglob("*") if p.suffix in sources):
                 digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
 
@@ -85,7 +85,7 @@ def damaged_file(folder: Path) -> str:
     """First file of a result that is not, byte for byte, as it was published; "" if none."""
     try:
         made = record(folder)
-        if made.pop(CHECKSUM) != _checksum(made):
+        if made.pop("checksum") != _checksum(made):
             return RECORD
         files: dict[str, list[Any]] = made["files"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -156,7 +156,7 @@ def publish(
             }
             # As it will be read back: tuples are lists in JSON.
             made = json.loads(json.dumps(made))
-            made[CHECKSUM] = _checksum(made)
+            made["checksum"] = _checksum(made)
             (scratch / RECORD).write_text(json.dumps(made, sort_keys=True))
             scratch.rename(final)
         except OSError as error:
@@ -235,3 +235,153 @@ def record(folder: Path) -> dict[str, Any]:
 def age_s(folder: Path) -> float:
     """Seconds since a result was last used."""
     return max(time.time() - (folder / RECORD).stat().st_mtime, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One result.
+
+    Attributes
+    ----------
+    stage : str
+        Which stage made it.
+    folder : Path
+        Where it is.
+    size_bytes : int
+        Of its files.
+    age_s : float
+        Since it was last used.
+    seconds : float
+        What it took to make.
+    """
+
+    stage: str
+    folder: Path
+    size_bytes: int
+    age_s: float
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pruned:
+    """Results dropped and their bytes, leftovers of killed runs, results that are in use."""
+
+    dropped: int
+    freed_bytes: int
+    leftovers: int
+    in_use: int
+
+
+def limit_bytes() -> float:
+    """Size that the cache is kept within.
+
+    Raises
+    ------
+    DesignError
+        If ``$PHYTAC_CACHE_GB`` is not a size.
+    """
+    gb = 1e9
+    # Size that a build leaves the cache at most, unless ``$PHYTAC_CACHE_GB`` says another.
+    limit_gb = 10.0
+    text = os.environ.get("PHYTAC_CACHE_GB", "")
+    try:
+        size = float(text) if text else limit_gb
+    except ValueError:
+        size = -1.0
+    if not (size >= 0.0 and isfinite(size)):
+        raise DesignError(
+            "cache-size-invalid",
+            f"PHYTAC_CACHE_GB is {text!r}; it is a size in gigabytes, as in 10",
+        )
+    return size * gb
+
+
+def entries() -> list[Entry]:
+    """Every finished result, the least recently used first."""
+    found = []
+    for folder in _folders():
+        try:
+            made = record(folder)
+            size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+            found.append(
+                Entry(
+                    stage=folder.parent.name,
+                    folder=folder,
+                    size_bytes=size,
+                    age_s=age_s(folder),
+                    seconds=float(made.get("seconds", 0.0)),
+                )
+            )
+        except (OSError, ValueError):  # another process is dropping it
+            continue
+    return sorted(found, key=lambda entry: (-entry.age_s, str(entry.folder)))
+
+
+def _folders() -> Iterator[Path]:
+    root = cache_root()
+    if root.is_dir():
+        yield from sorted(path.parent for path in root.glob(f"*/*/{RECORD}"))
+
+
+def damaged() -> list[Path]:
+    """Results whose files are not, byte for byte, those that were published; reads all of them."""
+    return [folder for folder in _folders() if damaged_file(folder)]
+
+
+def prune(*, limit_bytes: float, older_than_s: float = float("inf")) -> Pruned:
+    """Drop what is older than asked, then the least recently used until the rest fits.
+
+    Results that a running build reads stay, whatever the limit. What killed runs left goes.
+    """
+    every = entries()
+    total = sum(entry.size_bytes for entry in every)
+    dropped = freed = in_use = 0
+    for entry in every:
+        if entry.age_s <= older_than_s and total <= limit_bytes:
+            continue
+        if not drop(entry.folder):
+            in_use += 1
+            continue
+        dropped += 1
+        freed += entry.size_bytes
+        total -= entry.size_bytes
+    return Pruned(dropped=dropped, freed_bytes=freed, leftovers=_sweep(), in_use=in_use)
+
+
+def drop(folder: Path) -> bool:
+    """Remove a result unless a build reads it; it is either whole or gone at every instant."""
+    try:
+        stream = (folder / RECORD).open("rb")
+    except OSError:
+        return True
+    gone = folder.with_name(f".gone-{folder.name}-{os.getpid()}")
+    with stream:
+        if not locked(stream, fcntl.LOCK_EX) or not same_file(stream, folder / RECORD):
+            return False
+        try:
+            folder.rename(gone)
+        except OSError:
+            return False
+    shutil.rmtree(gone, ignore_errors=True)
+    return True
+
+
+def _sweep() -> int:
+    """Remove scratch folders and lock files that no running build owns."""
+    root, count = cache_root(), 0
+    if not root.is_dir():
+        return 0
+    # Folders before locks: whoever owns one of these holds its lock still, or is dead.
+    scratch = [path for path in root.glob("*/.*") if path.is_dir()]
+    busy = set()
+    for path in root.glob(f"*/.*{LOCK}"):
+        with suppress(FileNotFoundError), path.open("r") as stream:
+            if locked(stream, fcntl.LOCK_EX) and same_file(stream, path):
+                path.unlink(missing_ok=True)
+            else:
+                busy.add((path.parent, path.name[1:9]))
+    for path in scratch:
+        if (path.parent, path.name[1:9]) not in busy:
+            shutil.rmtree(path, ignore_errors=True)
+            count += 1
+    return count

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera
-from phytac_design.core.kernels import in_bands, kernel
+from phytac_design.core.kernels import in_bands
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import (
     BAND_ROWS,
@@ -212,18 +212,22 @@ def expose(
     corner = max(x, width - 1.0 - x) ** 2 + max(y, height - 1.0 - y) ** 2
     left = max(1.0 - exposure.vignetting, darkest)
     bend = (left**-0.5 - 1.0) / corner
-    noise = np.zeros((1, 1, 1), dtype=np.float32)
+    noise = None
     if rng is not None and gain > 0.0:
         noise = rng.standard_normal(light.shape, dtype=np.float32)
     share = gain / exposure.full_well_e
     # Variance of the light: shot noise is its own square, over the full well.
-    shot, read = share * gain, (share * exposure.read_noise_e) ** 2
+    shot, read = np.float32(share * gain), np.float32((share * exposure.read_noise_e) ** 2)
+    across = (np.arange(width) - x) ** 2
 
     def band(first: int, last: int) -> None:
-        rows = slice(first, last)
-        own = noise[rows] if len(noise) == height else noise
-        shape = (x, y - first, bend, brightness)
-        _expose(light[rows], own, shape, (shot, read), table, frame[rows])
+        down = (np.arange(last - first) - (y - first)) ** 2
+        fall = 1.0 + bend * (across + down[:, None])
+        value = light[first:last] * (brightness / (fall * fall)).astype(np.float32)[..., None]
+        if noise is not None:
+            value += np.sqrt(value * shot + read) * noise[first:last]
+        np.clip(value, 0.0, 1.0, out=value)
+        frame[first:last] = table[(value * np.float32(levels - 1) + np.float32(0.5)).astype(int)]
 
     in_bands(band, height, band_rows=BAND_ROWS)
     return compressed(frame, exposure.jpeg_quality) if exposure.jpeg_quality else frame
@@ -239,34 +243,3 @@ def compressed(frame: ImageArray, quality: int) -> ImageArray:
     ]
     _, data = cv2.imencode(".jpg", frame, settings)
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
-
-
-@kernel
-def _expose(
-    light: NDArray[np.float32],
-    noise: NDArray[np.float32],
-    shape: tuple[float, float, float, float],
-    variance: tuple[float, float],
-    table: ImageArray,
-    frame: ImageArray,
-) -> None:
-    """Vignetting, noise and sRGB.
-
-    ``shape`` is the centre (x, y) px, 1 over the square px where cos⁴ would be a quarter, and the
-    brightness.
-    """
-    x0, y0, bend, brightness = shape
-    shot, read = np.float32(variance[0]), np.float32(variance[1])
-    top = np.float32(len(table) - 1)
-    noisy = noise.shape[0] == light.shape[0] and noise.shape[1] == light.shape[1]
-    for row in range(light.shape[0]):
-        down = (row - y0) ** 2
-        for column in range(light.shape[1]):
-            fall = 1.0 + bend * ((column - x0) ** 2 + down)
-            scale = np.float32(brightness / (fall * fall))
-            for channel in range(3):
-                value = light[row, column, channel] * scale
-                if noisy:
-                    value += np.sqrt(value * shot + read) * noise[row, column, channel]
-                value = min(max(value, np.float32(0.0)), np.float32(1.0))
-                frame[row, column, channel] = table[int(value * top + np.float32(0.5))]

@@ -43,10 +43,12 @@ def render_frame(
     levels = 4096  # steps of the table that encodes linear light
     light = render_light(scene, camera, samples=samples)
     encode = to_srgb(np.arange(levels) / (levels - 1.0)).astype(np.float32)
+    table = (encode + np.float32(0.5)).astype(np.uint8)
     frame = np.zeros(light.shape, dtype=np.uint8)
 
     def band(first: int, last: int) -> None:
-        _encode(light[first:last], encode, frame[first:last])
+        level = light[first:last] * np.float32(levels - 1) + np.float32(0.5)
+        frame[first:last] = table[level.astype(np.int32)]
 
     in_bands(band, camera.height_px, band_rows=BAND_ROWS)
     if noise_std > 0.0:
@@ -235,14 +237,3 @@ def _add(
                     times += 1
             for channel in range(3):
                 total[row, column, channel] += times * light[last, channel]
-
-
-@kernel
-def _encode(light: NDArray[np.float32], encode: NDArray[np.float32], frame: ImageArray) -> None:
-    """Write linear light as 8-bit sRGB."""
-    scale = np.float32(len(encode) - 1)
-    for row in range(frame.shape[0]):
-        for column in range(frame.shape[1]):
-            for channel in range(3):
-                level = int(light[row, column, channel] * scale + np.float32(0.5))
-                frame[row, column, channel] = np.uint8(encode[level] + np.float32(0.5))

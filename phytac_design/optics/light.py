@@ -31,10 +31,6 @@ EVEN, FROM_CAMERA, FROM_AXIS = 0.4, 0.35, 0.25
 """Shares of the light: from everywhere, from the camera's side, from the bar."""
 
 
-FALL_OFF_MAX = 4.0
-"""Maximum light of a part near the bar, relative to that of a median marker."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Strip:
     """A light bar as a shining line on the axis.
@@ -103,6 +99,7 @@ def triangle_light(
     paint : (colours + 1, 3) float, optional
         See :func:`albedo`.
     """
+    fall_off_max = 4.0  # maximum light of a part near the bar, relative to that of a median marker
     corners = scene.vertices[scene.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     centre = corners.mean(axis=1)
@@ -110,7 +107,7 @@ def triangle_light(
     inward = -centre * np.array([1.0, 1.0, 0.0])
     bar = FROM_AXIS * _cosine(normal, inward)
     if strip is not None:
-        bar *= np.minimum(strip.at(centre), FALL_OFF_MAX)
+        bar *= np.minimum(strip.at(centre), fall_off_max)
     shade = EVEN + FROM_CAMERA * _cosine(normal, back) + bar
     shade[scene.part == BAR_CODE] = 1.0
     return albedo(scene, paint) * shade[:, None]

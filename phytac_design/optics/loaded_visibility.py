@@ -9,7 +9,7 @@ when its receptor is rendered alone in the same pose::
 Both centroids use the same pixel samples, so the crosstalk of an uncovered marker is exactly zero.
 
 Receptors move as rigid bodies. The wall of a real sensor moves with them, the rendered one is
-fixed: it hides only what lies clearly behind it (``WALL_SETBACK``), so that a receptor that is
+fixed: it hides only what lies clearly behind it, so that a receptor that is
 pushed outward beside a dent stays visible.
 """
 
@@ -20,15 +20,13 @@ import numpy as np
 
 from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.gaps import marker_gaps
-from phytac_design.optics.raster import paint_alone, project_scene, rasterise
+from phytac_design.optics.raster import owner_sums, paint_alone, project_scene, rasterise
 from phytac_design.optics.render_scene import SHELL, RenderScene, paint_owner
 from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 FUSED_PX = 2.0
 """Markers of one colour this near (one free pixel or none) count as fused under load."""
-WALL_SETBACK = 0.05
-"""Share of its distance by which the wall is moved away from the camera, in all poses."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,30 +84,24 @@ class MarkerState:
         return np.asarray(np.nan_to_num(np.linalg.norm(self.offset_px - rest.offset_px, axis=1)))
 
 
-def scene_state(scene: RenderScene, camera: Camera, *, wall_setback: float = 0.0) -> MarkerState:
+def scene_state(scene: RenderScene, camera: Camera, *, wall_follows: bool = False) -> MarkerState:
     """Visibility, gaps and centroid offsets of a scene, at rest or moved.
 
     Parameters
     ----------
-    wall_setback : float
-        Relative increase of the distance between camera and wall. The wall of the scene is fixed,
-        but a real one moves with its receptors: a receptor slightly behind it is not hidden.
+    wall_follows : bool
+        The wall of the scene is fixed, but a real one moves with its receptors: one that is
+        slightly behind it is not hidden.
     """
-    if wall_setback > 0.0:
+    setback = 0.05  # relative increase of the distance between camera and wall
+    if wall_follows:
         wall = np.unique(scene.triangles[scene.part == SHELL])
         vertices = scene.vertices.copy()
-        vertices[wall] += wall_setback * (vertices[wall] - camera.position_mm)
+        vertices[wall] += setback * (vertices[wall] - camera.position_mm)
         scene = replace(scene, vertices=vertices)
     view = project_scene(scene, camera)
     marker = paint_owner(rasterise(scene, camera, view=view).part)
-    y, x = np.nonzero(marker >= 0)
-    visible = np.stack(
-        [
-            np.bincount(marker[y, x], weights=weights, minlength=scene.count)
-            for weights in (np.ones(len(x)), x, y)
-        ],
-        axis=1,
-    )
+    visible = owner_sums(marker, scene.count)
     alone = paint_alone(scene, camera, view=view, beyond=False)
     own, other = marker_gaps(marker, scene.colour)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -198,7 +190,7 @@ class _PressedSensor:
     ) -> None:
         self.scene, self.camera, self.counted, self.pivots_mm = scene, camera, counted, pivots_mm
         self.forces_N = np.concatenate([[0.0], forces_N])
-        self.rest = scene_state(scene, camera, wall_setback=WALL_SETBACK).of(counted)
+        self.rest = scene_state(scene, camera, wall_follows=True).of(counted)
 
     def at(self, path: FloatArray, force_N: float) -> MarkerState:
         """State at a force; motion is linear between the forces of the path (k, n, 6)."""
@@ -208,7 +200,7 @@ class _PressedSensor:
         before = path[k - 1] if k > 0 else np.zeros_like(path[0])
         motion = (1.0 - share) * before + share * path[k]
         moved = self.scene.moved(motion[:, :3], motion[:, 3:], self.pivots_mm)
-        return scene_state(moved, self.camera, wall_setback=WALL_SETBACK).of(self.counted)
+        return scene_state(moved, self.camera, wall_follows=True).of(self.counted)
 
     def lost(self, seen: MarkerState) -> BoolArray:
         """Markers that are hidden or fused, and are not at rest."""

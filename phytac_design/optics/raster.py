@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_design.core.kernels import in_bands, kernel
-from phytac_design.optics.clip import clip_near
 from phytac_design.optics.distorted_triangles import distorted_view
 from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene
 from phytac_design.optics.zbuffer import View, fill
@@ -105,6 +104,14 @@ def _finish(
                 depth[row, column] = along / depth[row, column]
             else:
                 depth[row, column] = np.inf
+
+
+def owner_sums(owner: NDArray[np.int32], count: int) -> FloatArray:
+    """Pixels of each of ``count`` markers in an owner image, and sums of their x and y, (n, 3)."""
+    y, x = np.nonzero(owner >= 0)
+    ids = owner[y, x]
+    each = [np.bincount(ids, weights=w, minlength=count) for w in (np.ones(len(x)), x, y)]
+    return np.stack(each, axis=1)
 
 
 def points_seen(
@@ -269,3 +276,48 @@ def _sum_alone(
                     sums[i, 0] += 1.0
                     sums[i, 1] += column + left + right
                     sums[i, 2] += row + top + down
+
+
+def clip_near(
+    points: FloatArray, triangles: NDArray[np.int32]
+) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.int32]]:
+    """Cut triangles at camera z = 1 µm, below which nothing is drawn.
+
+    Parameters
+    ----------
+    points : (V, 3) float
+        Vertices in the camera frame, mm.
+    triangles : (T, 3) int32
+        Vertex indices.
+
+    Returns
+    -------
+    points, triangles, source
+        Vertices with the new ones appended, triangles in front of the plane (none has a vertex
+        behind it), and the index of the triangle that each came from, in rising order.
+    """
+    near_mm = 1e-3  # camera z below which nothing is drawn
+    front = points[:, 2] >= near_mm
+    source = np.arange(len(triangles), dtype=np.int32)
+    if bool(front.all()):
+        return points, triangles, source
+    count = front[triangles].sum(axis=1)
+    cut = np.flatnonzero((count == 1) | (count == 2))
+    # Turn each cut triangle so that the vertex alone on its side comes first.
+    side = front[triangles[cut]]
+    alone = np.where(count[cut] == 1, side.argmax(axis=1), side.argmin(axis=1))
+    turned = triangles[cut][np.arange(len(cut))[:, None], (alone[:, None] + np.arange(3)) % 3]
+    p = points[turned]
+    share = (near_mm - p[:, :1, 2]) / (p[:, 1:, 2] - p[:, :1, 2])
+    crossing = p[:, :1] + share[:, :, None] * (p[:, 1:] - p[:, :1])
+    crossing[:, :, 2] = near_mm
+    at = len(points) + 2 * np.arange(len(cut))
+    one = count[cut] == 1
+    tips = np.column_stack([turned[:, 0], at, at + 1])[one]
+    first = np.column_stack([at, turned[:, 1], turned[:, 2]])[~one]
+    second = np.column_stack([at, turned[:, 2], at + 1])[~one]
+    whole = count == 3
+    faces = np.concatenate([triangles[whole], tips, first, second]).astype(np.int32)
+    origin = np.concatenate([source[whole], cut[one], cut[~one], cut[~one]]).astype(np.int32)
+    order = np.argsort(origin, kind="stable")
+    return np.concatenate([points, crossing.reshape(-1, 3)]), faces[order], origin[order]

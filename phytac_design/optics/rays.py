@@ -39,14 +39,14 @@ class RayGrid:
         y, x = np.indices((rows + TAPS - 1, columns + TAPS - 1)).reshape(2, -1) - BEFORE
         nodes = lens.unproject(step * np.column_stack([x, y]).astype(np.float64))
         nodes = nodes.reshape(rows + TAPS - 1, columns + TAPS - 1, 3)
-        known = sliding_window_view(np.isfinite(nodes[..., 2]), (TAPS, TAPS)).all(axis=(2, 3))
+        windows = sliding_window_view(np.isfinite(nodes[..., 2]), (TAPS, TAPS))
+        self.smooth: BoolArray = np.asarray(windows.all(axis=(2, 3)))
         self.nodes = np.nan_to_num(nodes)
-        y, x = np.nonzero(known)
+        y, x = np.nonzero(self.smooth)
         middle = _weights(np.array([0.5]))[0]
         around = sliding_window_view(self.nodes, (TAPS, TAPS), axis=(0, 1))[y, x]
         found = np.einsum("kcmn,m,n->kc", around, middle, middle)
         exact = lens.unproject(np.column_stack([x + 0.5, y + 0.5]) * float(step))
-        self.smooth = known
         self.smooth[y, x] = np.abs(found - exact).max(axis=1) <= error
 
     def rows(self, first: int, last: int, offset: FloatArray) -> FloatArray:

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from phytac_design.design.fixture_table import AnyFixture, BoxFixture, CylinderFixture
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
-from phytac_design.geometry.triangles import TriangleMesh, merged
+from phytac_design.geometry.triangles import TriangleMesh, cylinder_mesh, merged
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 NONE, SHELL, BAR, RESIN = 0, 1, 2, 3
@@ -240,3 +240,34 @@ def _profile(
     radius = np.array([outer, outer, outer, hole, hole, 0.0, tip, tip, 0.0])
     depth = np.stack([base, band, face, face, back, back, back, front, front], axis=1)
     return radius, depth
+
+
+def fixture_mesh(fixture: AnyFixture, *, tolerance_mm: float) -> TriangleMesh:
+    """Triangles of one fixture; polygons stay within ``tolerance_mm`` of their circles."""
+    # Corners of a box's faces; corner 4 i + 2 j + k lies at its low (0) or high (1) x, y, z.
+    corners = np.array(
+        [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
+    )
+    if isinstance(fixture, CylinderFixture):
+        return cylinder_mesh(
+            np.array(fixture.from_mm),
+            np.array(fixture.to_mm),
+            fixture.radius_mm,
+            tolerance_mm=tolerance_mm,
+        )
+    if isinstance(fixture, BoxFixture):
+        triangles = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+        return TriangleMesh(vertices_mm=_corners(fixture), triangles=triangles)
+    return TriangleMesh(
+        vertices_mm=np.array(fixture.vertices_mm, dtype=np.float64),
+        triangles=np.array(fixture.triangles, dtype=np.int64),
+    )
+
+
+def _corners(box: BoxFixture) -> FloatArray:
+    """Corners (8, 3) of a box."""
+    sign = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T
+    half = sign * np.array(box.size_mm) / 2.0
+    c, s = np.cos(np.radians(box.turn_deg)), np.sin(np.radians(box.turn_deg))
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(np.array(box.centre_mm) + half @ turn.T)

@@ -20,13 +20,6 @@ from phytac_design.optics.paint import paints_of, to_linear, to_srgb
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-XYZ_OF_RGB = np.array(
-    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-)
-"""CIE XYZ of linear sRGB, white D65 (IEC 61966-2-1)."""
-SHADE = EVEN / (EVEN + FROM_CAMERA + FROM_AXIS)
-"""Least share of the full light that a painted surface gets: the even part alone."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Separability:
@@ -80,7 +73,11 @@ class Separability:
 
 def chromaticity(rgb: FloatArray) -> FloatArray:
     """CIE 1976 (u', v'), (k, 2), of sRGB values (k, 3) in [0, 255]."""
-    x, y, z = (to_linear(rgb) @ XYZ_OF_RGB.T).T
+    # CIE XYZ of linear sRGB, white D65 (IEC 61966-2-1).
+    xyz_of_rgb = np.array(
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
+    x, y, z = (to_linear(rgb) @ xyz_of_rgb.T).T
     whole = np.maximum(x + 15.0 * y + 3.0 * z, 1e-30)
     return np.column_stack([4.0 * x / whole, 9.0 * y / whole])
 
@@ -99,12 +96,14 @@ def separability(
     light_rgb : (3,) float, optional
         Linear RGB of the light, its greatest channel 1; white by default.
     """
+    # Least share of the full light that a painted surface gets: the even part alone.
+    shade = EVEN / (EVEN + FROM_CAMERA + FROM_AXIS)
     # (Cr, Cb) of 8-bit RGB, as OpenCV's full-range YCrCb (ITU-R BT.601).
     chroma_of_rgb = np.array([[0.5, -0.4187, -0.0813], [-0.1687, -0.3313, 0.5]])
     paints = paints_of(names)
     light = np.ones(3) if light_rgb is None else np.asarray(light_rgb, dtype=np.float64)
     albedo = to_linear(np.array(list(paints.values()), dtype=np.float64)) * light
-    shaded = to_srgb(SHADE * albedo)
+    shaded = to_srgb(shade * albedo)
     chroma = shaded @ chroma_of_rgb.T
     full = ColourModel.from_rgb(paints)
     spread = noise_pixel * float(np.linalg.svd(chroma_of_rgb, compute_uv=False)[0])

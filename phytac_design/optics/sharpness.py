@@ -7,6 +7,7 @@ camera's centre for wide ones.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Perspective
 from phytac_design.design.spec import CameraSection
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 DIRECTIONS = ("axial", "circumferential", "radial")
@@ -131,3 +133,44 @@ def mm_per_px(camera: Camera, surface: Surface, markers: Markers) -> FloatArray:
     axes = np.stack([along, around, markers.normal], axis=2)
     pixels = np.linalg.norm(camera.jacobian(markers.tip_mm) @ axes, axis=1)
     return np.asarray(np.divide(1.0, pixels, out=np.full_like(pixels, np.inf), where=pixels != 0.0))
+
+
+def lens_facts(sensor: Sensor, camera: Camera) -> dict[str, Any]:
+    """Scale, centroid noise, blur and depth of field; ``rows`` holds the medians of each row.
+
+    Raises
+    ------
+    DesignError
+        If nothing is sharp.
+    """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
+    found = sharpness(design.camera, camera, surface, markers)
+    group = row_groups(markers)
+    rows = []
+    for number in np.unique(group):
+        own = group == number
+        rows.append(
+            {
+                "row": int(number),
+                "markers": int(own.sum()),
+                **{
+                    f"mm_per_px_{name}": float(np.median(found.mm_per_px[own, i]))
+                    for i, name in enumerate(DIRECTIONS)
+                },
+                **{
+                    f"noise_{name}_mm": float(np.median(found.noise_mm[own, i]))
+                    for i, name in enumerate(DIRECTIONS)
+                },
+                "blur_px": float(found.blur_px[own].max()),
+            }
+        )
+    return found.summary() | {"rows": rows}
+
+
+def row_groups(markers: Markers) -> IntArray:
+    """Row of each marker (n,), or one of eight equal groups along u where there are no rows."""
+    bands = 8  # groups by number, of markers that are not in rows
+    if markers.in_rows:
+        return markers.row
+    order = np.argsort(np.argsort(markers.uv[:, 0], kind="stable"), kind="stable")
+    return np.asarray(order * bands // markers.count)

@@ -15,12 +15,21 @@ from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.gaps import marker_gaps
-from phytac_design.optics.occluders import SELF, occluder_name, occluding_parts
 from phytac_design.optics.paint import paints_of
-from phytac_design.optics.raster import Buffers, pixels_alone, points_seen, rasterise
+from phytac_design.optics.raster import (
+    Buffers,
+    marker_windows,
+    owner_sums,
+    pieces_by_marker,
+    pixels_alone,
+    points_seen,
+    project_scene,
+    rasterise,
+)
 from phytac_design.optics.render_scene import (
     BAR,
     FIRST_FIXTURE,
+    FIRST_MARKER,
     NONE,
     RESIN,
     SHELL,
@@ -29,6 +38,7 @@ from phytac_design.optics.render_scene import (
     paint_owner,
     red_owner,
 )
+from phytac_design.optics.zbuffer import fill
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 FRACTION_MIN = 0.5
@@ -165,6 +175,10 @@ def measure_visibility(
     visible, centroid, point = _means(buffers, marker, rest, camera)
     alone = pixels_alone(rest, camera)
     fraction = np.divide(visible, alone, out=np.zeros(len(alone)), where=alone > 0)
+    red_px = [
+        owner_sums(red_owner(part), rest.count)[:, 0].astype(np.int64)
+        for part in (buffers.part, rasterise(on, camera).part)
+    ]
     frame = render_frame(rest, camera, noise_std=noise_std, rng=rng, samples=samples)
     occluded = (fraction < FRACTION_MIN) | (visible < PIXELS_MIN)
     occluder = np.full(rest.count, SELF, dtype=np.int64)
@@ -178,8 +192,8 @@ def measure_visibility(
         gap_other_colour_px=other,
         centroid_px=centroid,
         paint_point_mm=point,
-        red_rest_px=_count(red_owner(buffers.part), rest.count),
-        red_on_px=_count(red_owner(rasterise(on, camera).part), on.count),
+        red_rest_px=red_px[0],
+        red_on_px=red_px[1],
         occluded=occluded,
         fused=fused_in_frame(frame, marker, rest),
         hidden_by=occluder,
@@ -257,11 +271,6 @@ def heights_face(design: Design) -> str:
     return f"let heights grow away from the camera (height_far_mm {sign} height_near_mm)"
 
 
-def _count(owner: NDArray[np.int32], markers: int) -> IntArray:
-    """Pixels of each marker in an owner image (-1 for none), (n,)."""
-    return np.bincount(owner[owner >= 0], minlength=markers).astype(np.int64)
-
-
 def _means(
     buffers: Buffers, marker: NDArray[np.int32], scene: RenderScene, camera: Camera
 ) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -314,3 +323,62 @@ def fused_markers(
     fused = np.zeros(n, dtype=bool)
     fused[(pair % n)[crowded[pair // n]]] = True
     return fused
+
+
+SELF = -1
+
+
+def occluding_parts(
+    scene: RenderScene, camera: Camera, buffers: Buffers, ids: IntArray, alone_px: IntArray
+) -> IntArray:
+    """Part code (k,) that covers most hidden pixels of each of the markers ``ids`` (k,).
+
+    ``RESIN`` stands for other receptors, ``NONE`` for the border of the image, ``SELF`` for a
+    marker that only its own tube hides.
+
+    Parameters
+    ----------
+    buffers : Buffers
+        Of the scene, see ``rasterise``.
+    ids : (k,) int
+        Marker numbers.
+    alone_px : (n,) int
+        Pixels of every marker when its receptor is rendered alone.
+    """
+    out = np.full(len(ids), SELF, dtype=np.int64)
+    if len(ids) == 0:
+        return out
+    view = project_scene(scene, camera)
+    chosen, starts = pieces_by_marker(scene, view)
+    windows = marker_windows(view, chosen, starts, camera)
+    size = np.array([camera.width_px, camera.height_px])
+    for k, marker in enumerate(ids):
+        left, top = np.maximum(windows[marker, :2], 0)
+        right, low = np.minimum(windows[marker, :2] + windows[marker, 2:], size)
+        votes = np.zeros(FIRST_MARKER, dtype=np.int64)
+        code = FIRST_MARKER + 2 * int(marker)
+        if right > left and low > top:
+            owner = np.full((low - top, right - left), -1, dtype=np.int32)
+            own = chosen[starts[marker] : starts[marker + 1]]
+            fill(view, own, (int(left), int(top), 1, 0.0, 0.0), owner, np.zeros(owner.shape))
+            paint = (owner >= 0) & (scene.part[owner] == code)
+            seen = buffers.part[top:low, left:right][paint]
+            lost = seen[seen != code]
+            votes += np.bincount(np.where(lost >= FIRST_MARKER, RESIN, lost), minlength=len(votes))
+            votes[NONE] += alone_px[marker] - int(paint.sum())
+        if votes.any():
+            out[k] = int(votes.argmax())
+    return out
+
+
+def occluder_name(design: Design, code: int) -> str:
+    """Name of a part of :func:`occluding_parts`, for messages."""
+    if code >= FIRST_FIXTURE:
+        return f"by the fixture {design.fixtures[code - FIRST_FIXTURE].name!r}"
+    return {
+        SELF: "too small in the picture or facing away",
+        NONE: "by the end of the image",
+        SHELL: "by the shell",
+        BAR: "by the light bar",
+        RESIN: "by other receptors",
+    }[code]

@@ -8,7 +8,7 @@ from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, withi
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.fixture_bodies import fixture_mesh
+from phytac_design.optics.render_scene import fixture_mesh
 from phytac_design.rules.refusal import refuse
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray

@@ -12,10 +12,9 @@ from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout.cameras import stand_off_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_of
-from phytac_design.optics.lens_facts import lens_facts
 from phytac_design.optics.render_scene import BAR, RESIN
 from phytac_design.optics.separability import check_paints
-from phytac_design.optics.sharpness import sharpness
+from phytac_design.optics.sharpness import lens_facts, sharpness
 from phytac_design.optics.visibility import (
     Visibility,
     best_of,

@@ -7,8 +7,6 @@ import numpy as np
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-CONDITION_MAX = 1e10
-"""Above this the condensed stiffness has lost more than half of double precision."""
 ALONG_MIN = 1e-3
 """Sine of the angle between view and normal below which u cannot be observed (0.06°)."""
 
@@ -66,6 +64,8 @@ def condense(slope: FloatArray, *, normal: FloatArray, motion: FloatArray) -> Co
         If pressing a marker moves no marker's image, or K cannot be formed to half of double
         precision.
     """
+    # Above this the condensed stiffness has lost more than half of double precision.
+    condition_max = 1e10
     compliance_px = np.einsum("nij,njm->nim", slope, motion)
     if not np.isfinite(compliance_px).all():
         marker = int(np.flatnonzero(~np.isfinite(compliance_px).all(axis=(1, 2)))[0])
@@ -94,7 +94,7 @@ def condense(slope: FloatArray, *, normal: FloatArray, motion: FloatArray) -> Co
         )
     apparent = np.einsum("ni,nim->nm", shift_to_mm, compliance_px)[np.ix_(seen, seen)]
     condition = float(np.linalg.cond(apparent)) if len(seen) else 1.0
-    if not condition < CONDITION_MAX:
+    if not condition < condition_max:
         raise NumericalError(
             "compliance-singular",
             f"the markers' compliance cannot be inverted (condition {condition:.2g}): markers "

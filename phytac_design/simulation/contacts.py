@@ -20,15 +20,6 @@ from phytac_shapes.errors import DesignError
 Placement = Literal["receptor", "anywhere"]
 Inside = Callable[[FloatArray], BoolArray]
 """Which chart positions (m, 2) may be centres of contacts, (m,)."""
-JITTER_MM = 1.0
-"""A rig that presses on receptors hits them within this distance, along and around."""
-JITTER_SHARE = 1.0 / 3.0
-"""But within this share of the smallest patch's radius, on the smallest sensors."""
-TRIES = 400
-PLACES_PER_DRAW = 2048
-"""Places drawn at once: charts are cheaper by the thousand than one by one."""
-EMPTY_DRAWS_MAX = 50
-"""Draws without a single place that end the search."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +110,14 @@ class Switching:
     tripped: BoolArray
 
 
+def rig_jitter_mm(radius_min_mm: float) -> float:
+    """Distance within which a rig hits a receptor, along and around: 1 mm.
+
+    At most a third of the smallest patch's radius, on small sensors.
+    """
+    return min(1.0, 1.0 / 3.0 * radius_min_mm)
+
+
 def draw_contacts(
     sensor: Sensor,
     *,
@@ -131,26 +130,28 @@ def draw_contacts(
     """Draw samples of one contact, and (a share of them) of two to ``most`` at once.
 
     Forces are uniform in the design's range, radii in theirs. ``receptor`` presses on receptors
-    within ``JITTER_MM``, as the paper's rig traverses them; ``anywhere`` is uniform over the area
-    that senses. Centres lie within the open edges. Contacts of one sample keep apart by more than
-    both radii and a footprint; where the sensor has no room for as many, a sample has fewer.
-    Centres are where ``inside`` says, if that is given; where no receptor is, anywhere there.
+    within :func:`rig_jitter_mm`, as the paper's rig traverses them; ``anywhere`` is uniform over
+    the area that senses. Centres lie within the open edges. Contacts of one sample keep apart by
+    more than both radii and a footprint; where the sensor has no room for as many, a sample has
+    fewer. Centres are where ``inside`` says, if that is given; where no receptor is, anywhere
+    there.
 
     Raises
     ------
     DesignError
         If nothing that senses is inside.
     """
+    tries = 400
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training = design.training
-    jitter = min(JITTER_MM, JITTER_SHARE * training.patch_radius_min_mm)
+    jitter = rig_jitter_mm(training.patch_radius_min_mm)
     places = _places(surface, markers, placement, rng, jitter, inside)
     rows: list[tuple[int, float, float, float, float]] = []
     for sample in range(samples):
         multi = rng.random() < training.multi_contact and most > 1
         wanted = int(rng.integers(2, most + 1)) if multi else 1
         placed: list[tuple[FloatArray, float]] = []
-        for _ in range(TRIES):
+        for _ in range(tries):
             if len(placed) == wanted:
                 break
             uv, point = next(places)
@@ -179,25 +180,28 @@ def _places(
     inside: Inside | None = None,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Chart coordinates (2,) and points (3,) of one random place after the other."""
+    # Places drawn at once: charts are cheaper by the thousand than one by one.
+    places_per_draw = 2048
+    empty_draws_max = 50  # draws without a single place that end the search
     held = np.arange(markers.count)
     if inside is not None:
         held = np.flatnonzero(inside(markers.uv))
     empty = 0
     while True:
         if placement == "anywhere" or len(held) == 0:
-            uv = by_area(surface, rng.random((PLACES_PER_DRAW, 2)))
+            uv = by_area(surface, rng.random((places_per_draw, 2)))
             uv = uv[surface.sensing(uv)]
         else:
-            ids = held[rng.integers(len(held), size=PLACES_PER_DRAW)]
+            ids = held[rng.integers(len(held), size=places_per_draw)]
             uv = _near_markers(surface, markers, ids, rng, jitter_mm)
         if inside is not None:
             uv = uv[inside(uv)]
         empty = 0 if len(uv) else empty + 1
-        if empty == EMPTY_DRAWS_MAX:
+        if empty == empty_draws_max:
             raise DesignError(
                 "no-contact-drawn",
                 "no contact can be drawn: none of the "
-                f"{EMPTY_DRAWS_MAX * PLACES_PER_DRAW} places drawn lies in the "
+                f"{empty_draws_max * places_per_draw} places drawn lies in the "
                 "given regions; widen along and around",
             )
         yield from zip(uv, surface.point(uv), strict=True)

@@ -21,11 +21,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-STEP_MM = 0.25
-"""Largest step of the central differences along the surface and in radius."""
-STEP_SHARE = 0.05
-"""The same as a share of the patch's radius, so that sensors of every size are alike."""
-
 Shifts = Callable[[FloatArray, FloatArray], FloatArray]
 """(uv (c, 2), radius_mm (c,)) -> pixel shift per newton (c, n, 2) of every marker."""
 
@@ -158,13 +153,16 @@ def contact_signals(
     NumericalError
         If a shift is not finite.
     """
+    # The same as a share of the patch's radius, so that sensors of every size are alike.
+    step_share = 0.05
+    step_mm = 0.25  # largest step of the central differences along the surface and in radius
     uv = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
     count = len(uv)
     radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), count)
-    step = np.minimum(STEP_MM, STEP_SHARE * radius)
+    step = np.minimum(step_mm, step_share * radius)
     sides = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     steps = [tangent_step(surface, uv, step[:, None] * side) for side in sides]
-    thin = np.minimum(STEP_MM, 0.25 * radius)
+    thin = np.minimum(step_mm, 0.25 * radius)
     places = np.concatenate([uv, *steps, uv, uv])
     radii = np.concatenate([np.tile(radius, 5), radius + thin, radius - thin])
     per_N = shifts(places, radii).reshape(7, count, -1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from phytac_decoder.estimation.cascade_network import network_features
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_design.datasets.key_node_data import KeyNodeData
+from phytac_design.datasets.samples import KeyNodeData
 from phytac_design.simulation.contacts import Contacts, Switching
 from phytac_shapes.arrays import FloatArray
 

@@ -21,8 +21,6 @@ from phytac_shapes.arrays import FloatArray
 MARGIN = 1.0
 """How far beyond the touched part the mesh stays fine, in √(R t), the length in which bending
 decays; twice that gains nothing."""
-LOCAL_NODES_SHARE_MAX = 0.85
-"""A local mesh is taken if it has at most this share of the whole fine one's nodes."""
 
 
 def truth_shell(design: Design, surface: Surface, refine: int) -> tuple[ShellMesh, ShellModel]:
@@ -109,6 +107,8 @@ def local_mesh(design: Design, surface: Surface, whole: ShellMesh, region: Chart
 
     ``whole`` itself where that saves little, and around a pole, where no line can be thinned out.
     """
+    # A local mesh is taken if it has at most this share of the whole fine one's nodes.
+    share_max = 0.85
     if any(surface.poles) or region.whole.all():
         return whole
     size = np.sort(np.ptp(surface.bounds_mm(), axis=0))[1] / 2.0
@@ -123,5 +123,5 @@ def local_mesh(design: Design, surface: Surface, whole: ShellMesh, region: Chart
             fine = thinned_lines(surface, axis, fine, part=part, margin_mm=margin)
         lines.append(fine)
     mesh = _shell(surface, product_grid(surface, lines[0], lines[1]), whole.thickness_mm)
-    worth = len(mesh.nodes_mm) <= LOCAL_NODES_SHARE_MAX * len(whole.nodes_mm)
+    worth = len(mesh.nodes_mm) <= share_max * len(whole.nodes_mm)
     return mesh if worth else whole

@@ -45,16 +45,15 @@ class InteractionSettings:
     """Share of near pairs among those drawn: they interact more, and differ more."""
     batch: int = 32
     """Loads solved together."""
+    elements_max: int = 40000
+    """Shells of more have no such tables: time and memory grow with both."""
+    axes_max: int = 64
+    """Of the images, at most."""
     difference_step: float = 1e-2
     """Motion (mm and rad) of the differences for the image's bend."""
 
 
 SETTINGS = InteractionSettings()
-
-ELEMENTS_MAX = 40000
-"""Shells of more have no such tables: time and memory grow with both."""
-AXES_MAX = 64
-"""Of the images, at most."""
 
 
 def pair_spacing_mm(area_mm2: float, radius_mm: float) -> float:
@@ -107,14 +106,14 @@ class InteractionSolver:
     def axes(self) -> FloatArray:
         """Axes (r, 2n) of the images, each of unit length."""
         _, size, axes = np.linalg.svd(self.images(self.drawn()), full_matrices=False)
-        return np.asarray(axes[:AXES_MAX][size[:AXES_MAX] > 0.0])
+        return np.asarray(axes[: SETTINGS.axes_max][size[: SETTINGS.axes_max] > 0.0])
 
     def drawn(self) -> IntArray:
         """Pairs (k, 2) of places that do not overlap, near ones more often."""
         gap = np.linalg.norm(self.point_mm[:, None] - self.point_mm[None], axis=2)
         pairs = np.argwhere(np.triu(gap > 2.0 * self.radius_mm))
         near = gap[pairs[:, 0], pairs[:, 1]] < SETTINGS.near_radii * self.radius_mm
-        rng, count = np.random.default_rng(0), SETTINGS.pairs_per_axis * AXES_MAX
+        rng, count = np.random.default_rng(0), SETTINGS.pairs_per_axis * SETTINGS.axes_max
         some = rng.permutation(np.flatnonzero(near))[: round(SETTINGS.near_share * count)]
         rest = rng.permutation(np.setdiff1d(np.arange(len(pairs)), some))[: count - len(some)]
         return np.asarray(pairs[np.sort(np.concatenate([some, rest]))])

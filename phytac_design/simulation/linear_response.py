@@ -22,9 +22,6 @@ from phytac_design.simulation.contacts import Contacts
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
-CHUNK = 96
-"""Right-hand sides solved together: bounds the memory."""
-
 
 def motion_probe(mesh: ShellMesh, uv: FloatArray) -> csr_matrix:
     """Rows of (u, θ) at chart positions ``uv`` (n, 2), bilinear in the chart, (6n, 6N)."""
@@ -46,6 +43,7 @@ def motion_responses(
     *,
     uv: FloatArray,
     radius_mm: FloatArray,
+    batch: int = 96,
     progress: Callable[[str], None] = lambda _: None,
 ) -> FloatArray:
     """Motion of every marker per newton of each patch, (c, n, 6): translation mm, rotation rad.
@@ -61,14 +59,16 @@ def motion_responses(
         Patch centres.
     radius_mm : (c,) float
         Patch radii.
+    batch : int
+        Right-hand sides solved together: bounds the memory.
     """
     columns = markers.lattice.columns if markers.lattice else 1
     turn = column_turn(model, mesh, columns)
     base = np.arange(markers.count) if turn is None else np.flatnonzero(markers.column == 0)
     loads = patch_loads(mesh, surface, uv, radius_mm)
     if len(uv) < 6 * len(base):
-        return np.moveaxis(probe_loads(model, mesh, loads, markers.uv, batch=CHUNK), 2, 0)
-    adjoints = _adjoints(model, motion_probe(mesh, markers.uv[base]), progress)
+        return np.moveaxis(probe_loads(model, mesh, loads, markers.uv, batch=batch), 2, 0)
+    adjoints = _adjoints(model, motion_probe(mesh, markers.uv[base]), batch, progress)
     patches = loads.T.tocsr()
     if turn is None:
         # All adjoints at once would fill the memory: 11 GB for 2000 markers.
@@ -87,11 +87,11 @@ def motion_responses(
 
 
 def _adjoints(
-    model: ShellModel, probe: csr_matrix, progress: Callable[[str], None]
+    model: ShellModel, probe: csr_matrix, batch: int, progress: Callable[[str], None]
 ) -> Iterator[FloatArray]:
-    """Shell motion (6N, r) under the unit load of each of r probe rows, ``CHUNK`` at a time."""
-    for first in range(0, probe.shape[0], CHUNK):
-        last = min(first + CHUNK, probe.shape[0])
+    """Shell motion (6N, r) under the unit load of each of r probe rows, ``batch`` at a time."""
+    for first in range(0, probe.shape[0], batch):
+        last = min(first + batch, probe.shape[0])
         yield model.solve(probe[first:last].T).motion.reshape(probe.shape[1], -1)
         progress(f"response: {last} of {probe.shape[0]} adjoint loads")
 

@@ -20,14 +20,10 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-SERIES_TERMS_MAX = 0.9
-"""Largest the second and third term may be together over the first, at the greatest force."""
 LARGE_SOLVED_ABOVE = {4: 0.06, 5: 0.005}
 """Error of the expansion at the greatest force, in the norm of the stiffness, from which on
 large displacements are solved, by the powers of the force that are kept. With fewer powers none
 are."""
-SERIES_ERROR_MAX = LARGE_SOLVED_ABOVE[4]
-"""The same from which on a sensor is beyond the expansion."""
 
 
 class DiscResponse:
@@ -111,13 +107,15 @@ class DiscResponse:
         return loads, self.model.solve(loads).motion.reshape(loads.shape)
 
     def _motions(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
+        # The same from which on a sensor is beyond the expansion.
+        series_error_max = LARGE_SOLVED_ABOVE[4]
         out = [self.kinematics.linear(first)]
         if self.orders == 1:
             return out
         series = self._series(load, first)
         gap = self._gap(load, first, series) if self.orders in LARGE_SOLVED_ABOVE else 0.0
         # A gap that is no number holds nowhere.
-        self.beyond += not gap <= SERIES_ERROR_MAX
+        self.beyond += not gap <= series_error_max
         if self.orders in LARGE_SOLVED_ABOVE and not gap <= LARGE_SOLVED_ABOVE[self.orders]:
             large = self._large(load, first)
             if large:
@@ -127,6 +125,8 @@ class DiscResponse:
 
     def _series(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
         """Motions (6N,) at the forces by Koiter's expansion; none where it says nothing."""
+        # Largest the second and third term may be together over the first, at the greatest force.
+        series_terms_max = 0.9
         try:
             found = self.shell.expand(load, first)
         except (ArithmeticError, NumericalError, np.linalg.LinAlgError):
@@ -135,7 +135,7 @@ class DiscResponse:
         second, third = found.second, found.third
         more = np.linalg.norm((most * second + most**2 * third).reshape(-1, 6)[:, :3], axis=1)
         size = np.linalg.norm(first.reshape(-1, 6)[:, :3], axis=1)
-        if not float(more.max()) <= SERIES_TERMS_MAX * float(size.max()):
+        if not float(more.max()) <= series_terms_max * float(size.max()):
             return []
         return [f * first + f**2 * second + f**3 * third for f in self.forces]
 

@@ -12,7 +12,6 @@ edges of a node give its gradient g by least squares, nearer ones heavier; the f
 then by g × n more. The tube takes the mean over a ring in its base.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -24,23 +23,6 @@ from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.linear_response import motion_probe
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class RingSettings:
-    """Ring in a tube's base over which its motion is the mean."""
-
-    radius_share: float = 0.5
-    """Radius of the ring over a tube's outer radius: the mean of a linear slope over the base lies
-    nearer, that of a solid base's turn, which resists bending, farther out."""
-    points: int = 12
-    """Places on it."""
-
-
-RING = RingSettings()
-
-NO_EDGE = 1e-9
-"""Edges shorter than this share of the longest are the collapsed ones at a pole."""
 
 
 class ReceptorKinematics:
@@ -66,7 +48,9 @@ class ReceptorKinematics:
         self._length = np.linalg.norm(step, axis=1)
         self._along = step / self._length[:, None]
         self._lean = self._leaning()
-        self._mean = _means(mesh, surface, uv, RING.radius_share * radius_mm)
+        # The mean of a linear slope over the base lies nearer, that of a solid base's turn, which
+        # resists bending, farther out.
+        self._mean = _means(mesh, surface, uv, 0.5 * radius_mm)
 
     @cached_property
     def matrix(self) -> csr_matrix:
@@ -135,25 +119,27 @@ class ReceptorKinematics:
 
 def _edges(mesh: ShellMesh) -> tuple[IntArray, IntArray]:
     """Nodes of every edge once, (m,) each; none of no length."""
+    no_edge = 1e-9  # edges shorter than this share of the longest are the collapsed ones at a pole
     quads = mesh.quads
     pairs = np.concatenate([quads[:, [k, (k + 1) % 4]] for k in range(4)])
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
     length = np.linalg.norm(mesh.nodes_mm[pairs[:, 1]] - mesh.nodes_mm[pairs[:, 0]], axis=1)
-    first, second = pairs[length > NO_EDGE * length.max()].T
+    first, second = pairs[length > no_edge * length.max()].T
     return first, second
 
 
 def _means(mesh: ShellMesh, surface: Surface, uv: FloatArray, radius_mm: float) -> csr_matrix:
     """Mean motion (6n, 6N) over rings about places; what lies beyond a rim counts at the rim."""
+    count = 12  # places on the ring
     along, around = tangent_frame(surface, uv)
-    angle = 2.0 * np.pi * np.arange(RING.points) / RING.points
+    angle = 2.0 * np.pi * np.arange(count) / count
     ring = along[:, None] * np.cos(angle)[:, None] + around[:, None] * np.sin(angle)[:, None]
     places = surface.chart((surface.point(uv)[:, None] + radius_mm * ring).reshape(-1, 3))
     for axis, (low, high) in enumerate(surface.domain):
         if not surface.periodic[axis]:
             places[:, axis] = np.clip(places[:, axis], low, high)
     mean = kron(
-        kron(identity(len(uv)), np.full((1, RING.points), 1.0 / RING.points)),
+        kron(identity(len(uv)), np.full((1, count), 1.0 / count)),
         identity(6),
         format="csr",
     )

@@ -27,7 +27,7 @@ from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.flat_walls import add_membrane_walls
 from phytac_design.simulation.interaction_tables import (
-    ELEMENTS_MAX,
+    SETTINGS,
     InteractionSolver,
     pair_spacing_mm,
 )
@@ -36,29 +36,16 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-
-@dataclass(frozen=True, kw_only=True)
-class PlaceSettings:
-    """Where places of the tables stand."""
-
-    batch: int = 32
-    """Loads solved together."""
-    flat_angle_rad: float = 0.1
-    """Median angle between the walls at neighbouring places from which on they are close enough. On
-    flatter walls markers show the wall's slope rather than its motion, which changes sooner."""
-    flat_refinement: float = 2.0
-    """How much closer places stand there."""
-    ring_points: int = 513
-    """Points along u that rings are spaced by."""
-
-
-SETTINGS = PlaceSettings()
-
+NearScene = Callable[[float, FloatArray], BoolArray]
+"""(spacing mm, places (p, 2) so far apart) -> which of them are wanted, (p,)."""
 HIGHER_ORDER_SPACING = 2.0
 """Distance of places at which the higher powers of the force are solved, over that of places:
 they are a small part of the shifts, and are interpolated."""
-BYTES_MAX = 400e6
-"""Largest tables; places stand wider apart where they would be larger."""
+
+
+def everywhere(_: float, uv: FloatArray) -> BoolArray:
+    """All places (p, 2) are wanted, (p,)."""
+    return np.ones(len(uv), dtype=np.bool_)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +102,7 @@ class TabulatedResponse:
 def rings(surface: Surface, spacing_mm: float, sectors: int) -> PlaceRings:
     """Places at most about ``spacing_mm`` apart; ``sectors`` > 1 repeats them around so often."""
     (u0, u1), (v0, v1) = surface.domain
-    u, v = np.linspace(u0, u1, SETTINGS.ring_points), np.linspace(v0, v1, 65)
+    u, v = np.linspace(u0, u1, 513), np.linspace(v0, v1, 65)
     grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
     metric = surface.metric(grid).reshape(len(u), len(v), 2, 2)
     along = np.sqrt(metric[..., 0, 0]).max(axis=1)
@@ -145,6 +132,10 @@ def rings(surface: Surface, spacing_mm: float, sectors: int) -> PlaceRings:
 
 def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
     """What places are at most apart, by their distance over the patches' radius (mm)."""
+    # Median angle between the walls at neighbouring places from which on they are close enough. On
+    # flatter walls markers show the wall's slope rather than its motion, which changes sooner.
+    flat_angle_rad = 0.1
+    flat_refinement = 2.0  # how much closer places stand there
     spacing = share * radius_mm
     uv = rings(surface, spacing, 1).uv
     normal = np.cross(*tangent_frame(surface, uv))
@@ -153,8 +144,8 @@ def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
         surface.point(uv), k=min(FLATNESS_NEIGHBOURS, len(uv))
     )
     cosine = np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1)
-    flatter = float(np.median(cosine)) > np.cos(SETTINGS.flat_angle_rad)
-    return spacing / SETTINGS.flat_refinement if flatter else spacing
+    flatter = float(np.median(cosine)) > np.cos(flat_angle_rad)
+    return spacing / flat_refinement if flatter else spacing
 
 
 def tabulate_responses(
@@ -165,7 +156,8 @@ def tabulate_responses(
     see: ImageResponse,
     spacing_mm: float,
     orders: int,
-    near: Callable[[float, FloatArray], BoolArray] | None = None,
+    near: NearScene = everywhere,
+    bytes_max: float = 400e6,
     progress: Callable[[str], None] = lambda _: None,
 ) -> TabulatedResponse:
     """Tables over the whole surface, or a part of it.
@@ -184,8 +176,10 @@ def tabulate_responses(
         Between places, at most.
     orders : int
         Powers of the force: 1 (linear theory) to 5; see :data:`pressed.LARGE_SOLVED_ABOVE`.
-    near : callable, optional
-        ``near(spacing, uv)`` says which of places (p, 2) so far apart are wanted; all without it.
+    near : NearScene, optional
+        Which places are wanted; all without it.
+    bytes_max : float
+        Largest tables; places stand wider apart where they would be larger.
 
     Raises
     ------
@@ -194,6 +188,7 @@ def tabulate_responses(
     DesignError
         If fewer than ``PLACES_MIN`` are wanted.
     """
+    loads = 32  # solved together
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training = design.training
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
@@ -201,14 +196,14 @@ def tabulate_responses(
     sectors, turn = turns_of(model, mesh, columns)
     if turn is not None and not _markers_turn(markers, turn, columns // sectors):
         sectors, turn = 1, None
-    least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / BYTES_MAX)
+    least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / bytes_max)
     spacing = max(spacing_mm, float(least))
 
     def table(
         powers: int, apart_mm: float
     ) -> tuple[ResponseTable, FloatArray, int, DiscResponse, int]:
         ring = rings(surface, apart_mm, sectors)
-        wanted = np.flatnonzero(_wanted(ring.uv, apart_mm, near))
+        wanted = np.flatnonzero(near(apart_mm, ring.uv))
         if len(wanted) < PLACES_MIN:
             raise DesignError(
                 "response-places-too-few",
@@ -222,10 +217,10 @@ def tabulate_responses(
         out = np.zeros((len(wanted), powers, 2 * markers.count), dtype=np.float32)
         copies = [wanted[ring.base[wanted] == base] for base in solved]
         unsure = 0
-        for first in range(0, len(solved), SETTINGS.batch):
-            batch = solved[first : first + SETTINGS.batch]
+        for first in range(0, len(solved), loads):
+            batch = solved[first : first + loads]
             for own, motions in zip(
-                copies[first : first + SETTINGS.batch],
+                copies[first : first + loads],
                 shell.motions(ring.uv[batch], radius),
                 strict=True,
             ):
@@ -235,7 +230,7 @@ def tabulate_responses(
                     turned = [_turned(m, turn, times, columns, sectors) for m in motions]
                     out[row[place], : len(motions)] = see.powers(turned, shell.forces)
             progress(
-                f"places: {min(first + SETTINGS.batch, len(solved))} of {len(solved)}"
+                f"places: {min(first + loads, len(solved))} of {len(solved)}"
                 + (", large displacements" if powers > 1 else "")
             )
         along, around = tangent_frame(surface, ring.uv[wanted])
@@ -254,15 +249,9 @@ def tabulate_responses(
             places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=spacing, give=[]
         )
     # A small part of the surface holds too few places so far apart.
-    apart = (
-        HIGHER_ORDER_SPACING * spacing
-        if _enough(
-            rings(surface, HIGHER_ORDER_SPACING * spacing, sectors).uv,
-            HIGHER_ORDER_SPACING * spacing,
-            near,
-        )
-        else spacing
-    )
+    apart = HIGHER_ORDER_SPACING * spacing
+    if near(apart, rings(surface, apart, sectors).uv).sum() < PLACES_MIN:
+        apart = spacing
     higher, _, bent, shell, unsure = table(orders, apart)
     more = interpolate_responses(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
@@ -285,36 +274,22 @@ def tabulate_responses(
     )
 
 
-def _enough(
-    uv: FloatArray, apart_mm: float, near: Callable[[float, FloatArray], BoolArray] | None
-) -> bool:
-    """Whether tables hold those of places (p, 2) so far apart that are wanted."""
-    return int(_wanted(uv, apart_mm, near).sum()) >= PLACES_MIN
-
-
-def _wanted(
-    uv: FloatArray, apart_mm: float, near: Callable[[float, FloatArray], BoolArray] | None
-) -> BoolArray:
-    """Which of places (p, 2) so far apart are wanted."""
-    return np.ones(len(uv), dtype=np.bool_) if near is None else near(apart_mm, uv)
-
-
 def _pairs(
     shell: DiscResponse,
     see: ImageResponse,
     radius_mm: float,
-    near: Callable[[float, FloatArray], BoolArray] | None,
+    near: NearScene,
     progress: Callable[[str], None],
 ) -> InteractionTable | None:
     """Tables of pairs of places; None where too few are wanted, or the shell is too large."""
-    if len(shell.model.quads) > ELEMENTS_MAX:
+    if len(shell.model.quads) > SETTINGS.elements_max:
         return None
     apart = pair_spacing_mm(shell.surface.area_mm2(), radius_mm)
     uv = rings(shell.surface, apart, 1).uv
-    if not _enough(uv, apart, near):
+    uv = uv[near(apart, uv)]
+    if len(uv) < PLACES_MIN:
         return None
-    wanted = uv[_wanted(uv, apart, near)]
-    return InteractionSolver(shell, see, wanted, radius_mm).pairs(progress)
+    return InteractionSolver(shell, see, uv, radius_mm).pairs(progress)
 
 
 def interpolate_responses(places: ResponseTable, points_mm: FloatArray) -> FloatArray:

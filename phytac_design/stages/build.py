@@ -18,7 +18,7 @@ from phytac_design.design.design_file import design_hash, parse_design, to_toml
 from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
-from phytac_design.engine.cache_eviction import limit_bytes, prune
+from phytac_design.engine.cache import limit_bytes, prune
 from phytac_design.engine.stage import EXPORT, Context, Stage, array_hashes
 from phytac_design.report.provenance import package_versions
 from phytac_design.rules.check import check_design

@@ -19,8 +19,8 @@ from phytac_design.layout.heights_along import along_mm, middle_mm
 from phytac_design.layout.region_chart import design_regions
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.dataset import Dataset, decode_points, key_node_data
-from phytac_design.simulation.expected_image import colour_model
 from phytac_design.simulation.force_errors import contact_forces, score_contacts
+from phytac_design.simulation.imaging.nominal_view import colour_model
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.places_stage import locator_of
 from phytac_design.stages.response_stage import readers_of

@@ -8,7 +8,11 @@ from phytac_decoder.io.bundle_locator import response_arrays, response_from_arra
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.cramer_rao import cell_prior
-from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
+from phytac_design.simulation.response_tables import (
+    everywhere,
+    place_spacing_mm,
+    tabulate_responses,
+)
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import (
     IMAGE_ARRAYS,
@@ -30,7 +34,7 @@ def run_places(context: Context, folder: Path) -> None:
         see=image_response_of(context),
         spacing_mm=place_spacing_mm(context.surface, accuracy.place_share, radius),
         orders=accuracy.place_orders,
-        near=scope.near if scope else None,
+        near=scope.near if scope else everywhere,
         progress=context.progress,
     )
     places = done.places

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.datasets.samples import KeyNodeRows, Samples, TruthRows
-from phytac_design.datasets.samples_check import names_of
+from phytac_design.datasets.samples_file import names_of
 from phytac_shapes.arrays import BoolArray, IntArray
 from phytac_shapes.errors import InputError
 

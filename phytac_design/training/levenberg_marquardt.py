@@ -14,7 +14,7 @@ from phytac_decoder.estimation.cascade_network import (
     forward,
     layers_of,
 )
-from phytac_design.datasets.key_node_data import KeyNodeData
+from phytac_design.datasets.samples import KeyNodeData
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 

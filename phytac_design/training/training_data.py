@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_design.datasets.key_node_data import KeyNodeData
 from phytac_design.datasets.samples import (
     FAILED,
     DataSetInfo,
+    KeyNodeData,
     KeyNodeRows,
     Samples,
     key_nodes,
     split_sequences,
 )
-from phytac_design.datasets.samples_reader import read_samples
-from phytac_design.datasets.samples_writer import TABLE, file_hash
+from phytac_design.datasets.samples_file import TABLE, file_hash, read_samples
 from phytac_design.training.join_datasets import join_samples, select_samples
 from phytac_shapes.arrays import IntArray
 from phytac_shapes.errors import InputError

@@ -12,7 +12,7 @@ from phytac_decoder.camera.lens import Lens
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.pipeline.decode import FrameMeasurement
 from phytac_design.datasets.samples import DataSetInfo, Samples, inputs_alone, key_nodes
-from phytac_design.datasets.samples_writer import FRAMES, file_hash, write_samples
+from phytac_design.datasets.samples_file import FRAMES, file_hash, write_samples
 from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
@@ -168,18 +168,15 @@ def import_rig(
         Sensor.of(design, rig.surface, rig.markers),
         off_mm=chosen.off_mm,
         radius_mm=radius_mm,
-        problems=problems,
     )
     clock: dict[str, Any] = {"offset_s": chosen.offset_s, "tolerance_s": chosen.tolerance_s}
-    numbers = np.stack(
-        [match_frames(log, source, **clock, problems=problems) for source in rig.sources]
-    )
-    times = _times(log, rig.sources[0], numbers[0], problems, notes)
+    numbers = np.stack([match_frames(log, source, **clock) for source in rig.sources])
+    times = _times(log, rig.sources[0], numbers[0], notes)
     if not chosen.skip_bad:
         problems.raise_all()
     rest_px = rest_positions_of(rig, list(rest), progress)
     sound = np.setdiff1d(np.arange(log.samples), problems.samples)
-    seen = measure_samples(rig, log, numbers, sound, rest_px, problems, progress)
+    seen = measure_samples(rig, log, numbers, sound, rest_px, progress)
     if not chosen.skip_bad:
         problems.raise_all()
     if not seen:
@@ -243,9 +240,7 @@ def _rig(design: Design, bundle: Path, frames: Sequence[Path], chosen: ImportSet
     )
 
 
-def _times(
-    log: RigLog, source: FrameSource, number: IntArray, problems: RowProblems, notes: dict[str, Any]
-) -> FloatArray:
+def _times(log: RigLog, source: FrameSource, number: IntArray, notes: dict[str, Any]) -> FloatArray:
     """When each sample was taken, (s,): by the log's clock, the pictures', or their order."""
     notes["clock"] = "log"
     times = log.time_s
@@ -256,7 +251,7 @@ def _times(
         notes["clock"] = "none: frames are counted"
         return number.astype(np.float64)
     latest = np.fmax.accumulate(np.concatenate([[-np.inf], times[:-1]]))
-    problems.add_rows(
+    log.problems.add_rows(
         (times <= latest) & (number >= 0),
         np.arange(len(times)),
         log.first_line,

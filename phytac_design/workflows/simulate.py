@@ -23,16 +23,21 @@ from phytac_decoder.pipeline.decode import FOUND_WELL
 from phytac_design.core.journal import Journal, write_atomically
 from phytac_design.core.workers import WorkerPool
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples, inputs_alone, key_nodes
-from phytac_design.datasets.samples_reader import read_samples
-from phytac_design.datasets.samples_writer import FILE, FRAMES, TABLE, file_hash, write_samples
+from phytac_design.datasets.samples_file import (
+    FILE,
+    FRAMES,
+    TABLE,
+    file_hash,
+    read_samples,
+    write_samples,
+)
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import Exposure
 from phytac_design.rules.check import check_design
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES, encode_png
 from phytac_design.simulation.imaging.imaging_model import ImagingModel, RestObservation
 from phytac_design.simulation.imaging.nominal_view import expected_views
-from phytac_design.simulation.run.data_set import data_set_info, gather_samples
-from phytac_design.simulation.run.job import Job
+from phytac_design.simulation.run.job import Job, data_set_info, gather_samples
 from phytac_design.simulation.solver import Solver
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import untrained_model

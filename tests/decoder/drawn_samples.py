@@ -6,7 +6,10 @@ from typing import Any
 import numpy as np
 
 from phytac_design.datasets.samples import DataSetInfo, KeyNodeRows, Samples, TouchRows, TruthRows
-from phytac_design.datasets.samples_writer import FORCE_STEP_N, SHIFT_STEP_PX
+
+SHIFT_STEP_PX = 2.0**-9
+
+FORCE_STEP_N = 2.0**-10
 
 META = DataSetInfo(
     simulated=True,

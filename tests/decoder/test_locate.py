@@ -13,7 +13,7 @@ from phytac_decoder.estimation.contact_fit import ShiftObservation, robust_cost
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import SETTINGS
 from phytac_decoder.mechanics.response_table import ResponseTable
-from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
     DISC,

@@ -11,13 +11,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from phytac_design.datasets import samples_writer
+from phytac_design.datasets import samples_file
 from phytac_design.datasets.samples import split_sequences
-from phytac_design.datasets.samples_check import ARRAYS, COUNTS
-from phytac_design.datasets.samples_reader import read_samples
-from phytac_design.datasets.samples_writer import SHIFT_STEP_PX, file_hash, write_samples
+from phytac_design.datasets.samples_file import (
+    ARRAYS,
+    COUNTS,
+    file_hash,
+    read_samples,
+    write_samples,
+)
 from tests.decoder.drawn_samples import META, assert_same, drawn
 from tests.refusals import refused
+
+SHIFT_STEP_PX = 2.0**-9
 
 PAGE = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text(encoding="utf-8")
 
@@ -25,7 +31,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text(encoding="
 @pytest.fixture(autouse=True)
 def fast_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without waiting for the disk."""
-    monkeypatch.setattr(samples_writer.os, "fsync", lambda _: None)
+    monkeypatch.setattr(samples_file.os, "fsync", lambda _: None)
 
 
 @given(
@@ -63,16 +69,16 @@ def test_ranges_that_16_bits_do_not_hold() -> None:
     force = made.key_nodes.force_N.copy()
     force[0] = 130.7
     made = replace(made, shift_px=shift, key_nodes=replace(made.key_nodes, force_N=force))
-    arrays, scales = samples_writer._stored(made, "test")
+    arrays, scales = samples_file._stored(made, "test")
     assert arrays["shift_px"].dtype == np.float32
     assert arrays["key_force_N"].dtype == np.float32
     assert arrays["key_u_mm"].dtype == np.int16
     assert scales["shift_px"] == {"scale": 1.0, "step": SHIFT_STEP_PX}
     np.testing.assert_allclose(arrays["shift_px"], shift, rtol=0, atol=SHIFT_STEP_PX / 2)
     edge = np.array([[[32767.0, -32767.0]]]) * SHIFT_STEP_PX
-    assert samples_writer._rounded(edge, SHIFT_STEP_PX, "shift_px")[0].dtype == np.int16
+    assert samples_file._rounded(edge, SHIFT_STEP_PX, "shift_px")[0].dtype == np.int16
     over = np.array([[[-32768.0, 0.0]]]) * SHIFT_STEP_PX
-    assert samples_writer._rounded(over, SHIFT_STEP_PX, "shift_px")[0].dtype == np.float32
+    assert samples_file._rounded(over, SHIFT_STEP_PX, "shift_px")[0].dtype == np.float32
 
 
 def test_large_data_come_back(tmp_path: Path) -> None:

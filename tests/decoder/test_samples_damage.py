@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from phytac_design.datasets.samples import Samples
-from phytac_design.datasets.samples_reader import read_samples
-from phytac_design.datasets.samples_writer import table_hash, write_samples
+from phytac_design.datasets.samples_file import read_samples, table_hash, write_samples
 from phytac_shapes.errors import InputError
 from tests.decoder.drawn_samples import META, assert_same, drawn
 from tests.refusals import refused

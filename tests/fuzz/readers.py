@@ -110,15 +110,14 @@ def _folder_of(write: Callable[[Path], Any]) -> Files:
 
 
 def _written(number: int, folder: Path) -> None:
-    from phytac_design.datasets.samples_writer import write_samples
+    from phytac_design.datasets.samples_file import write_samples
     from tests.decoder.drawn_samples import META, drawn
 
     write_samples(folder, drawn(number), META)
 
 
 def _dataset() -> Reader:
-    from phytac_design.datasets.samples_reader import read_samples
-    from phytac_design.datasets.samples_writer import table_hash
+    from phytac_design.datasets.samples_file import read_samples, table_hash
 
     seeds = [_folder_of(partial(_written, number)) for number in range(3)]
     tables = [json.loads(seed["dataset.json"]) for seed in seeds]

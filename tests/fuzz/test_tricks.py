@@ -12,7 +12,7 @@ import pytest
 
 from phytac_decoder.estimation.force_regions import load_regions
 from phytac_decoder.io.bundle import load_bundle, save_bundle
-from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.datasets.samples_file import read_samples
 from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import load_design
 from phytac_design.design.fixture_table import read_stl
@@ -105,7 +105,7 @@ def test_parts_of_a_bundle_that_are_no_files(name: str, trick: str, tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["dataset.json", "samples.npz"])
 def test_pipes_in_a_data_set(name: str, tmp_path: Path) -> None:
-    from phytac_design.datasets.samples_writer import table_hash, write_samples
+    from phytac_design.datasets.samples_file import table_hash, write_samples
     from tests.decoder.drawn_samples import META, drawn
 
     write_samples(tmp_path, drawn(1), META)

@@ -19,12 +19,14 @@ from phytac_design.optics.exposure import (
     light_on_chip,
 )
 from phytac_design.optics.frame_renderer import render_light, through_lens
-from phytac_design.optics.light import FALL_OFF_MAX, Strip, albedo, triangle_light
+from phytac_design.optics.light import Strip, albedo, triangle_light
 from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene, paint_owner, red_owner
 from phytac_design.optics.sharpness import sharpness
 from phytac_shapes.arrays import FloatArray
 from tests.optics.cases import Bench
+
+FALL_OFF_MAX = 4.0
 
 CAMERA = Camera.on_axis(width_px=160, height_px=120, focal_px=100.0, stand_off_mm=0.0)
 BLUR = LensBlur(aperture_mm=2.0, focus_mm=50.0, diffraction_px=0.0)

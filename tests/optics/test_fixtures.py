@@ -15,11 +15,10 @@ from phytac_design.design.fixture_table import TRIANGLES_MAX, read_stl
 from phytac_design.design.spec import Design
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout.cameras import camera_of
-from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.paint import FIXTURE
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.render_scene import FIRST_FIXTURE, paint_owner
+from phytac_design.optics.render_scene import FIRST_FIXTURE, fixture_mesh, paint_owner
 from phytac_design.rules.design_review import checkup
 from phytac_design.stages import STAGES
 from phytac_shapes.arrays import FloatArray

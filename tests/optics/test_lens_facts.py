@@ -11,12 +11,14 @@ from phytac_design.core.json_values import finite
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.lens_facts import BANDS, lens_facts, row_groups
+from phytac_design.optics.sharpness import lens_facts, row_groups
 from phytac_design.report.report_sections import lens_section
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from tests.optics.cases import Bench, make_design
 from tests.refusals import refused
+
+BANDS = 8
 
 FEW = {"rows": 3, "columns": 8, "height_near_mm": 0.5, "height_far_mm": 6.0}
 

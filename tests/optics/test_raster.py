@@ -4,11 +4,12 @@ from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Pinhole
-from phytac_design.optics.clip import NEAR_MM, clip_near
-from phytac_design.optics.raster import pixels_alone, rasterise
+from phytac_design.optics.raster import clip_near, pixels_alone, rasterise
 from phytac_design.optics.render_scene import FIRST_MARKER, SHELL, RenderScene
 from phytac_shapes.arrays import FloatArray
 from tests.optics.cases import Bench
+
+NEAR_MM = 1e-3
 
 AGREEMENT_MIN = 0.9999  # the rest are rays that Embree's float32 puts on the other side of an edge
 DEPTH_RELATIVE = 1e-5  # float32 hit distance of Embree, a few hundred units in the last place

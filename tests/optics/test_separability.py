@@ -7,7 +7,6 @@ import pytest
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_design.optics.paint import PAINTS, paints_of, to_linear, to_srgb
 from phytac_design.optics.separability import (
-    SHADE,
     check_paints,
     chromaticity,
     separability,
@@ -16,6 +15,8 @@ from phytac_design.optics.separability import (
 from phytac_design.rules.check import check_design
 from tests.designs import changed
 from tests.refusals import refused
+
+SHADE = 0.4
 
 
 def test_chromaticity_of_the_srgb_primaries_and_white() -> None:

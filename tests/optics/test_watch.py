@@ -68,11 +68,11 @@ def test_a_wall_that_moves_along_hides_nothing_that_dips_into_it(few: Bench) -> 
     out = 0.3 * low[1].normal
     dipped = low[0].moved(out, 0.0 * out, low[1].mid_mm)
     assert (scene_state(dipped, few.camera).fraction < 1.0).all()
-    assert (scene_state(dipped, few.camera, wall_setback=0.05).fraction == 1.0).all()
+    assert (scene_state(dipped, few.camera, wall_follows=True).fraction == 1.0).all()
     far = np.zeros_like(out)
     far[5] = 12.0 * few.markers.normal[5]
     gone = scene_state(
-        scene.moved(far, 0.0 * far, few.markers.mid_mm), few.camera, wall_setback=0.05
+        scene.moved(far, 0.0 * far, few.markers.mid_mm), few.camera, wall_follows=True
     )
     assert gone.visible_px[5] == 0
     # The light bar is as near as it is.
@@ -80,7 +80,7 @@ def test_a_wall_that_moves_along_hides_nothing_that_dips_into_it(few: Bench) -> 
     hides[8] = -few.markers.tip_mm[8] * [1.0, 1.0, 0.0] - few.markers.normal[8]
     inside = scene.moved(hides, 0.0 * hides, few.markers.mid_mm)
     plain = scene_state(inside, few.camera)
-    along = scene_state(inside, few.camera, wall_setback=0.05)
+    along = scene_state(inside, few.camera, wall_follows=True)
     assert along.visible_px[8] == plain.visible_px[8]
     np.testing.assert_array_equal(along.offset_px[8], plain.offset_px[8])
 

@@ -5,8 +5,10 @@ import pytest
 
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.simulation.contacts import JITTER_MM, draw_contacts, switch_states
+from phytac_design.simulation.contacts import draw_contacts, switch_states
 from tests.test_layout_shapes import SHAPES, designed
+
+JITTER_MM = 1.0
 
 
 @pytest.mark.parametrize("placement", ["receptor", "anywhere"])

@@ -14,14 +14,15 @@ from phytac_design.datasets.samples import (
     key_nodes,
     truth_rows,
 )
-from phytac_design.datasets.samples_reader import read_samples
-from phytac_design.datasets.samples_writer import FORCE_STEP_N, write_samples
+from phytac_design.datasets.samples_file import read_samples, write_samples
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import Contacts, draw_contacts, switch_states
 from phytac_design.simulation.dataset import Dataset, key_node_data
 from phytac_shapes.arrays import FloatArray
+
+FORCE_STEP_N = 2.0**-10
 
 NOISE_PX = 0.04
 META = DataSetInfo(

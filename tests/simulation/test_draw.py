@@ -12,18 +12,20 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.indenter import INDENTERS
 from phytac_design.mechanics.shell.footprints import footprint_shares
-from phytac_design.simulation.contacts import JITTER_MM, Contacts, assign_forces, switch_states
+from phytac_design.simulation.contacts import Contacts, assign_forces, switch_states
 from phytac_design.simulation.sample_plan import ChartBox, SamplePlan
+from phytac_design.simulation.scenario import draw_plan as plan_module
+from phytac_design.simulation.scenario import presses
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.presses import reach_mm
 from phytac_design.simulation.scenario.scenario_file import (
     Scenario,
+    SensorInstanceSection,
     load_scenario,
     parse_scenario,
     shipped_scenarios,
 )
-from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
 from phytac_design.simulation.scenario.viscoelasticity import (
     Relaxation,
     felt_force,
@@ -32,6 +34,8 @@ from phytac_design.simulation.scenario.viscoelasticity import (
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
+
+JITTER_MM = 1.0
 
 Drawn = tuple[Design, Surface, SensorInstance]
 WALL = {"relax_share": [0.1, 0.05], "relax_s": [0.7, 20.0]}
@@ -136,8 +140,8 @@ def test_the_seed_is_all_that_draws(name: str) -> None:
 def test_chunks_of_samples_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
     own = _asked(DRAWN["anywhere"], 30)
     whole = plan(own)
-    monkeypatch.setattr("phytac_design.simulation.scenario.draw_plan.BLOCK", 7)
-    monkeypatch.setattr("phytac_design.simulation.scenario.presses.CHUNK", 11)
+    monkeypatch.setitem(plan_module._switching.__kwdefaults__, "block", 7)
+    monkeypatch.setitem(presses.draw_presses.__kwdefaults__, "chunk", 11)
     parts = plan(own)
     for name, array in vars(whole.switching).items():
         assert (array == getattr(parts.switching, name)).all(), name

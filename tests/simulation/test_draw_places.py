@@ -10,7 +10,7 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.indenter import INDENTERS
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
-from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from tests.designs import changed
 from tests.refusals import refused
 from tests.simulation.test_draw import AT, plan, scenario, sensor

@@ -14,8 +14,13 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
+from phytac_design.simulation import interaction_tables, response_tables
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.interaction_tables import InteractionSolver, image_curvature
+from phytac_design.simulation.interaction_tables import (
+    InteractionSettings,
+    InteractionSolver,
+    image_curvature,
+)
 from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_design.simulation.response_tables import (
@@ -26,7 +31,7 @@ from phytac_design.simulation.response_tables import (
     tabulate_responses,
 )
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
-from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
 from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.designs import drawn, of_shape, small
@@ -200,7 +205,7 @@ def test_coordinates_of_pairs_are_those_of_their_own_images(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Along axes by the third derivative, and each solved for itself: two ways to one image."""
-    monkeypatch.setattr("phytac_design.simulation.interaction_tables.AXES_MAX", 12)
+    monkeypatch.setattr(interaction_tables, "SETTINGS", InteractionSettings(axes_max=12))
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
     model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
     shell = DiscResponse(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=1)
@@ -225,8 +230,9 @@ def test_shells_of_too_many_elements_have_no_tables_of_pairs(
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=2)
     has_pairs = []
     for most in (len(mesh.quads), len(mesh.quads) - 1):
-        monkeypatch.setattr("phytac_design.simulation.response_tables.ELEMENTS_MAX", most)
-        monkeypatch.setattr("phytac_design.simulation.interaction_tables.AXES_MAX", 2)
+        settings = InteractionSettings(elements_max=most, axes_max=2)
+        monkeypatch.setattr(response_tables, "SETTINGS", settings)
+        monkeypatch.setattr(interaction_tables, "SETTINGS", settings)
         done = made(2, spacing_mm=8.0, orders=3)
         has_pairs.append(done.places.pairs is not None)
     assert has_pairs == [True, False]
@@ -265,7 +271,7 @@ def test_no_place_is_far_from_the_tables(kind: str) -> None:
 
 
 def test_tables_that_would_fill_the_memory_are_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("phytac_design.simulation.response_tables.BYTES_MAX", 2e5)
+    monkeypatch.setitem(tabulate_responses.__kwdefaults__, "bytes_max", 2e5)
     done = made(3, spacing_mm=1.0, orders=1)
     assert done.places.shift_px.nbytes < 4e5
 

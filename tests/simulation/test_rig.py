@@ -15,7 +15,7 @@ from phytac_decoder.estimation.cascade_network import CascadeNetwork, parameter_
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_design.cli.import_command import import_
 from phytac_design.datasets.samples import REAL, Samples
-from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.datasets.samples_file import read_samples
 from phytac_design.design.camera_files import write_lens
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.layout import make_markers

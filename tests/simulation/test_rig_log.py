@@ -37,9 +37,7 @@ def read(folder: Path, *lines: str) -> tuple[RigLog, RowProblems]:
 
 def touched(folder: Path, *lines: str, off_mm: float = 2.0) -> tuple[Contacts, RowProblems]:
     log, problems = read(folder, *lines)
-    touches = contacts_of(
-        log, Sensor.of(DESIGN, SURFACE, MARKERS), off_mm=off_mm, radius_mm=4.0, problems=problems
-    )
+    touches = contacts_of(log, Sensor.of(DESIGN, SURFACE, MARKERS), off_mm=off_mm, radius_mm=4.0)
     return touches, problems
 
 
@@ -106,9 +104,7 @@ def test_contacts_of_one_sample(tmp_path: Path) -> None:
     assert problems.found == []
     np.testing.assert_array_equal(log.sample, [0, 1, 0, 2])
     assert log.frame == ("1", "2", "4")
-    touches = contacts_of(
-        log, Sensor.of(DESIGN, SURFACE, MARKERS), off_mm=2.0, radius_mm=4.0, problems=problems
-    )
+    touches = contacts_of(log, Sensor.of(DESIGN, SURFACE, MARKERS), off_mm=2.0, radius_mm=4.0)
     np.testing.assert_array_equal(touches.sample, [0, 0, 1, 2])
     np.testing.assert_array_equal(touches.force_N, [2.0, 4.0, 3.0, 1.0])
     given = log.numbers["sequence"][[0, 1, 3]]
@@ -136,9 +132,7 @@ def test_every_way_to_state_a_place_is_the_same(tmp_path: Path, kind: str) -> No
     for head, places in ways.items():
         rows = [f"{k},{place},2" for k, place in enumerate(places)]
         log, problems = read(tmp_path, f"frame,{head},force_N", *rows)
-        touches = contacts_of(
-            log, Sensor.of(design, surface, markers), off_mm=0.1, radius_mm=4.0, problems=problems
-        )
+        touches = contacts_of(log, Sensor.of(design, surface, markers), off_mm=0.1, radius_mm=4.0)
         assert problems.found == [], head
         np.testing.assert_allclose(surface.point(touches.uv), points, atol=1e-5, err_msg=head)
 
@@ -302,9 +296,7 @@ def matched(
     tolerance_s: float | None = None,
 ) -> tuple[list[int], str]:
     log, problems = read(folder, "timestamp_s,marker,force_N", *(f"{t},3,1" for t in stamps))
-    out = match_frames(
-        log, Named(times), offset_s=offset_s, tolerance_s=tolerance_s, problems=problems
-    )
+    out = match_frames(log, Named(times), offset_s=offset_s, tolerance_s=tolerance_s)
     return out.tolist(), problems.text() if problems.found else ""
 
 

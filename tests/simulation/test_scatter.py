@@ -12,17 +12,19 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.scenario import instance_scatter
 from phytac_design.simulation.scenario.instance_scatter import (
-    CUT_SD,
-    HEIGHT_SHARE_MIN,
     _wall,
     cut_normal,
     draw_sensor_instance,
 )
-from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance, thickness_factor
 from phytac_shapes.arrays import FloatArray
 from tests.designs import changed
 from tests.test_layout_shapes import designed
+
+HEIGHT_SHARE_MIN = 0.2
+
+CUT_SD = 3.0
 
 DESIGN = changed("cylinder40")
 SURFACE = DESIGN.surface()

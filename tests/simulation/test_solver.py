@@ -25,11 +25,11 @@ from phytac_design.simulation.instance_shell import (
 from phytac_design.simulation.linear_response import point_motions, turned_points
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.sample_plan import ChartBox
-from phytac_design.simulation.scenario.contact_box import contact_box
+from phytac_design.simulation.scenario.contact_placement import contact_box
 from phytac_design.simulation.scenario.instance_scatter import (
     draw_sensor_instance,
 )
-from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance, thickness_factor
 from phytac_design.simulation.solver import SampleMotion, Solver
 from phytac_shapes.errors import NumericalError

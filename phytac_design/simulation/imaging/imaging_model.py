@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.decode import confirmed_switches, locate_in, locate_markers
@@ -15,27 +16,17 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import Exposure, expose, lens_blur
-from phytac_design.optics.loaded_visibility import WALL_SETBACK, scene_state
+from phytac_design.optics.loaded_visibility import scene_state
 from phytac_design.optics.render_scene import RenderScene
 from phytac_design.simulation.imaging.nominal_view import expected_views, vision_bundle
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
-from phytac_design.simulation.imaging.pixel_phase import pixel_phase_error
-from phytac_design.simulation.imaging.tip_cover import TipCover
-from phytac_design.simulation.imaging.virtual_camera import SimulatedCamera, bar_strip
+from phytac_design.simulation.imaging.virtual_camera import SimulatedCamera, TipCover, bar_strip
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 
 Centroids = Literal["paint", "pixels"]
-REST_FRAMES = 8
-"""Noisy rest frames that an instance's rest positions and their noise are measured in."""
-REST_NOISE_MAX_px = 1.0
-"""A marker at rest whose place scatters more from frame to frame is mistaken for others."""
-REST_STREAM = 23
-"""Of the generators of those frames."""
-PIXEL_SHIFTS_px = ((0.25, 0.5), (0.5, -0.25), (-0.25, 0.25))
-"""Besides none, shifts of the image at which the error of placing markers on pixels is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +66,7 @@ class RestObservation:
     bundle : Bundle
         The design's marker detector, set to where this instance's markers are.
     rest_px : (n, 2) float
-        Rest positions: mean of ``REST_FRAMES`` frames; NaN where not found.
+        Rest positions: mean of eight frames; NaN where not found.
     noise_px : (n, 2) float
         Standard deviation of one frame's positions.
     grid_px : (n, 2) float
@@ -112,8 +103,6 @@ class ImagingModel:
         and wall hide of it as well, from exact ID maps.
     samples : int
         Samples per pixel of frames.
-    wall_follows : bool
-        Whether the wall in the scene moves with its receptors.
     at_rest : RestObservation or str, optional
         :attr:`rest` of another model of the same instance and settings, to skip measuring it.
     """
@@ -129,7 +118,6 @@ class ImagingModel:
         compliance_px: FloatArray | None = None,
         centroids: Centroids = "paint",
         samples: int = 8,
-        wall_follows: bool = True,
         at_rest: RestObservation | str | None = None,
     ) -> None:
         nominal = make_markers(design, surface)
@@ -152,7 +140,6 @@ class ImagingModel:
                 lens_blur(Sensor.of(design, surface, nominal), aim) if exposure.lens_blur else None,
                 strip=strip,
                 samples=samples,
-                follow=wall_follows,
             )
             for camera, aim in zip(unit.cameras, cameras_of(design, surface), strict=True)
         ]
@@ -163,14 +150,9 @@ class ImagingModel:
         return self.unit.markers.count
 
     @property
-    def rest(self) -> RestObservation | str:
-        """What the unloaded sensor shows, or why it cannot be read; can be pickled."""
-        return self._rest
-
-    @property
     def status(self) -> str:
         """Why this sensor cannot be read at all; "" if it can."""
-        return self._rest if isinstance(self._rest, str) else ""
+        return self.rest if isinstance(self.rest, str) else ""
 
     @property
     def at_rest(self) -> RestObservation:
@@ -181,9 +163,9 @@ class ImagingModel:
         InputError
             If it cannot be read, see :attr:`status`.
         """
-        if isinstance(self._rest, str):
-            raise InputError("rest-frame-undecodable", self._rest)
-        return self._rest
+        if isinstance(self.rest, str):
+            raise InputError("rest-frame-undecodable", self.rest)
+        return self.rest
 
     def frame(
         self,
@@ -329,13 +311,18 @@ class ImagingModel:
         return expose(light, simulated.camera, self.exposure, brightness=brightness, rng=rng)
 
     @cached_property
-    def _rest(self) -> RestObservation | str:
-        """Measure the sensor at rest; a sentence if its frames cannot be read."""
+    def rest(self) -> RestObservation | str:
+        """What the unloaded sensor shows, or why it cannot be read; can be pickled."""
+        # A marker at rest whose place scatters more from frame to frame is mistaken for others.
+        rest_noise_max_px = 1.0
+        rest_stream = 23  # of the generators of those frames
+        # Noisy rest frames that an instance's rest positions and their noise are measured in.
+        rest_frames = 8
         if self._given is not None:
             return self._given
         still, off = np.zeros((self.count, 6)), np.zeros(self.count, dtype=np.bool_)
         lights = [simulated.light(simulated.scene(still, off)) for simulated in self.cameras]
-        rng = np.random.default_rng([REST_STREAM, self.unit.number])
+        rng = np.random.default_rng([rest_stream, self.unit.number])
 
         def draw() -> tuple[ImageArray, ...]:
             return tuple(
@@ -346,7 +333,7 @@ class ImagingModel:
         try:
             bundle = self._set_to(draw())
             found = np.stack(
-                [locate_markers(bundle, draw())[0].position_px for _ in range(REST_FRAMES)]
+                [locate_markers(bundle, draw())[0].position_px for _ in range(rest_frames)]
             )
             clean = tuple(
                 self._exposed(simulated, light, 1.0, None)
@@ -358,7 +345,7 @@ class ImagingModel:
         except InputError as error:
             return str(error)
         noise = found.std(axis=0, ddof=1)
-        sure = np.linalg.norm(noise, axis=1) <= REST_NOISE_MAX_px
+        sure = np.linalg.norm(noise, axis=1) <= rest_noise_max_px
         return RestObservation(
             bundle=bundle,
             rest_px=np.where(sure[:, None], found.mean(axis=0), np.nan),
@@ -369,10 +356,13 @@ class ImagingModel:
 
     def _grid(self, bundle: Bundle, before: FloatArray) -> FloatArray:
         """Standard deviation (n, 2) px of the centroids' error over places on the pixels."""
+        # Besides none, shifts of the image at which the error of placing markers on pixels is
+        # measured.
+        pixel_shifts_px = ((0.25, 0.5), (0.5, -0.25), (-0.25, 0.25))
         still, off = np.zeros((self.count, 6)), np.zeros(self.count, dtype=np.bool_)
         scenes = [simulated.scene(still, off) for simulated in self.cameras]
         found = [before]
-        for shift in PIXEL_SHIFTS_px:
+        for shift in pixel_shifts_px:
             frames = tuple(
                 self._exposed(simulated, simulated.light(scene, shift), 1.0, None)
                 for simulated, scene in zip(self.cameras, scenes, strict=True)
@@ -406,4 +396,29 @@ class ImagingModel:
 
 def _occlusion_px(simulated: SimulatedCamera, scene: RenderScene) -> FloatArray:
     """How far what hides parts of each marker moves its centroid in a scene, (n, 2) px."""
-    return scene_state(scene, simulated.camera, wall_setback=WALL_SETBACK).offset_px
+    return scene_state(scene, simulated.camera, wall_follows=True).offset_px
+
+
+def pixel_phase_error(place_px: FloatArray, number: int) -> FloatArray:
+    """Error (n, 2) of standard deviation 1 that depends on the place (n, 2) px of a marker alone.
+
+    Segmentation takes pixels in and out as a marker moves over them: places 0.1 px apart err
+    independently, the same place always errs alike.
+    """
+    cell_px = 0.1  # places on the pixels this far apart are misjudged independently
+    cell = np.floor(np.nan_to_num(place_px) / cell_px).astype(np.int64).astype(np.uint64)
+    marker = np.arange(len(cell), dtype=np.uint64)
+    key = np.full(len(cell), number, dtype=np.uint64)
+    for part in (marker, cell[:, 0], cell[:, 1]):
+        key = _mixed(key ^ part)
+    both = np.column_stack([_mixed(key), _mixed(_mixed(key))])
+    share = ((both >> np.uint64(11)).astype(np.float64) + 0.5) / 2.0**53
+    return np.asarray(ndtri(share), dtype=np.float64)
+
+
+def _mixed(key: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Next number of splitmix64 (Steele, Lea and Flood 2014)."""
+    key = key + np.uint64(0x9E3779B97F4A7C15)
+    key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(key ^ (key >> np.uint64(31)))

@@ -1,6 +1,7 @@
 """What the decoder expects to see of a sensor as designed, without forces."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,63 +10,188 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, CameraView
+from phytac_decoder.vision.matching import match_markers
+from phytac_decoder.vision.segmentation import Blobs, ColourModel, segment
 from phytac_decoder.vision.switch_detection import TipModel
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.frame_renderer import render_frame
-from phytac_design.optics.raster import rasterise
+from phytac_design.optics.paint import paints_of
+from phytac_design.optics.raster import owner_sums, rasterise
 from phytac_design.optics.render_scene import RenderScene, build_scene, red_owner
 from phytac_design.optics.visibility import Visibility, best_of, measure_visibility
-from phytac_design.simulation.expected_image import ExpectedView, colour_model, measure_expected
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
 from phytac_design.simulation.imaging.virtual_camera import bar_strip
 from phytac_design.simulation.linear_response import rigid_slope
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
 
-def expected_views(sensor: Sensor) -> dict[str, Any]:
-    """What the design's cameras show: the arrays of the stage ``views`` that detection needs."""
-    design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    cameras = cameras_of(design, surface)
-    each = [_look(sensor, camera, alone=len(cameras) == 1) for camera in cameras]
-    best, number = best_of([seen for seen, _ in each])
-    lost = best.lost
-    rest = [
-        np.where((lost & (number == k))[:, None], camera.project(markers.tip_mm), found.rest_px)
-        for k, (camera, (_, found)) in enumerate(zip(cameras, each, strict=True))
+@dataclass(frozen=True, kw_only=True)
+class ExpectedView:
+    """Expectations over n markers, measured in frames by the decoder's segmentation.
+
+    Attributes
+    ----------
+    rest_px : (n, 2) float
+        Marker positions with all switches off.
+    tip_bias_px : (n, 2) float
+        Shift of a marker's centroid by its red tip alone: the tip covers some of its paint.
+    tips : TipModel
+        Red of each tip.
+    """
+
+    rest_px: FloatArray
+    tip_bias_px: FloatArray
+    tips: TipModel
+
+
+def colour_model(design: Design) -> tuple[ColourModel, IntArray]:
+    """Colour model of the paints in use, and the class of each of the design's colours."""
+    names = (*dict.fromkeys(design.layout.colours), "red")
+    model = ColourModel.from_rgb(paints_of(names))
+    return model, np.array([names.index(name) for name in design.layout.colours])
+
+
+def measure_expected(
+    design: Design,
+    markers: Markers,
+    *,
+    rest_frame: ImageArray,
+    on_frame: ImageArray,
+    marker_px: FloatArray,
+    red_px: FloatArray,
+) -> ExpectedView:
+    """Measure rest positions, tip bias and red areas in two noise-free frames.
+
+    Parameters
+    ----------
+    rest_frame, on_frame : (h, w, 3) uint8
+        All switches off, all on.
+    marker_px, red_px : (n, 2) float
+        Exact centroids of the visible paint at rest, and of the visible red with switches on
+        (NaN where none), from the ID map.
+    """
+    model, classes = colour_model(design)
+    colour = classes[markers.colour]
+    seen = [
+        match_markers(
+            segment(frame, model), rest_px=marker_px, colour=colour, neighbours=markers.neighbours
+        )
+        for frame in (rest_frame, on_frame)
     ]
-    bias = np.stack([found.tip_bias_px for _, found in each])
-    return {
-        "camera": number,
-        "tip_bias_px": bias[number, np.arange(markers.count)],
-        "shown_rest_px": np.stack(rest),
-        "shown_tip_on_px": np.stack([found.tips.on_px for _, found in each]),
-        "shown_tip_red_rest_px": np.stack([found.tips.red_rest_px for _, found in each]),
-        "shown_tip_red_on_px": np.stack([found.tips.red_on_px for _, found in each]),
-    }
+    rest = np.where(seen[0].found[:, None], seen[0].position_px, marker_px)
+    bias = np.nan_to_num(seen[1].position_px - rest)
+    red = model.names.index("red")
+    rest_area = _red_area(segment(rest_frame, model, area_min_px=1), red, red_px)
+    on_area = _red_area(segment(on_frame, model, area_min_px=1), red, red_px)
+    return ExpectedView(
+        rest_px=rest,
+        tip_bias_px=bias,
+        tips=TipModel(on_px=red_px, red_rest_px=rest_area, red_on_px=on_area),
+    )
 
 
-def _look(sensor: Sensor, camera: Camera, *, alone: bool) -> tuple[Visibility, ExpectedView]:
-    """Look through one camera at rest and with all switches on."""
+def _red_area(blobs: Blobs, red: int, red_px: FloatArray) -> FloatArray:
+    """Red area (n,) near each expected tip: every red blob counts for the nearest."""
+    area = np.zeros(len(red_px))
+    pick = np.flatnonzero(blobs.colour == red)
+    known = np.flatnonzero(np.isfinite(red_px[:, 0]))
+    if len(pick) == 0 or len(known) == 0:
+        return area
+    gap = blobs.centroid_px[pick, None] - red_px[known][None]
+    nearest = known[np.argmin(np.linalg.norm(gap, axis=2), axis=1)]
+    np.add.at(area, nearest, blobs.weight[pick])
+    return area
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """What one camera sees at rest and with all switches on.
+
+    Attributes
+    ----------
+    camera : Camera
+        The camera.
+    rest : RenderScene
+        The sensor with all switches off.
+    frames : (at rest, all on)
+        Noise-free frames.
+    seen : Visibility
+        Of the markers.
+    expected : ExpectedView
+        What the decoder's marker detector finds in the frames.
+    """
+
+    camera: Camera
+    rest: RenderScene
+    frames: tuple[ImageArray, ImageArray]
+    seen: Visibility
+    expected: ExpectedView
+
+
+def look(
+    sensor: Sensor, camera: Camera, *, noise_std: float = 0.0, rng: np.random.Generator
+) -> Shot:
+    """Look through one camera of a sensor as designed.
+
+    A marker that shows nowhere is expected where its tip would be, as long as no other camera may
+    see it, else nowhere (NaN). ``noise_std`` is that of the frame that decides on fusion.
+    """
     design, markers = sensor.design, sensor.markers
     tolerance = tolerance_mm(camera, markers)
     rest, on = (
         build_scene(sensor, tolerance_mm=tolerance, switch_on=np.full(markers.count, state))
         for state in (False, True)
     )
-    seen = measure_visibility(rest, on, camera, noise_std=0.0, rng=np.random.default_rng(0))
-    away = camera.project(markers.tip_mm) if alone else np.nan
-    red = red_owner(rasterise(on, camera).part)
-    found = measure_expected(
+    seen = measure_visibility(rest, on, camera, noise_std=noise_std, rng=rng)
+    away = camera.project(markers.tip_mm) if len(sensor.cameras) == 1 else np.nan
+    place = np.where(seen.lost[:, None], away, seen.centroid_px)
+    frames = (render_frame(rest, camera), render_frame(on, camera))
+    expected = measure_expected(
         design,
         markers,
-        rest_frame=render_frame(rest, camera),
-        on_frame=render_frame(on, camera),
-        marker_px=np.where(seen.lost[:, None], away, seen.centroid_px),
-        red_px=owner_centroids(red, markers.count),
+        rest_frame=frames[0],
+        on_frame=frames[1],
+        marker_px=place,
+        red_px=owner_centroids(red_owner(rasterise(on, camera).part), markers.count),
     )
-    return seen, found
+    expected = replace(expected, rest_px=np.where(seen.lost[:, None], place, expected.rest_px))
+    return Shot(camera=camera, rest=rest, frames=frames, seen=seen, expected=expected)
+
+
+def view_arrays(sensor: Sensor, shots: Sequence[Shot]) -> tuple[Visibility, dict[str, Any]]:
+    """Each marker's best view, and the arrays of the stage ``views`` that detection needs."""
+    markers = sensor.markers
+    best, number = best_of([shot.seen for shot in shots])
+    rest = [
+        # What no camera sees is expected where its tip would be.
+        np.where(
+            (best.lost & (number == k))[:, None],
+            shot.camera.project(markers.tip_mm),
+            shot.expected.rest_px,
+        )
+        for k, shot in enumerate(shots)
+    ]
+    tips = [shot.expected.tips for shot in shots]
+    bias = np.stack([shot.expected.tip_bias_px for shot in shots])
+    return best, {
+        "camera": number,
+        "tip_bias_px": bias[number, np.arange(markers.count)],
+        "shown_rest_px": np.stack(rest),
+        "shown_tip_on_px": np.stack([tip.on_px for tip in tips]),
+        "shown_tip_red_rest_px": np.stack([tip.red_rest_px for tip in tips]),
+        "shown_tip_red_on_px": np.stack([tip.red_on_px for tip in tips]),
+    }
+
+
+def expected_views(sensor: Sensor) -> dict[str, Any]:
+    """What the design's cameras show: the arrays of the stage ``views`` that detection needs."""
+    rng = np.random.default_rng(0)
+    shots = [look(sensor, camera, rng=rng) for camera in sensor.cameras]
+    return view_arrays(sensor, shots)[1]
 
 
 def paint_slope(
@@ -110,13 +236,8 @@ def paint_slopes(sensor: Sensor, each: Sequence[Visibility]) -> FloatArray:
 
 def owner_centroids(owner: NDArray[np.int32], count: int) -> FloatArray:
     """Centroid (n, 2) px of each marker's pixels in an owner image, NaN where none."""
-    y, x = np.nonzero(owner >= 0)
-    ids = owner[y, x]
-    number = np.bincount(ids, minlength=count).astype(np.float64)
-    sums = [np.bincount(ids, weights=c, minlength=count) for c in (x, y)]
-    return np.asarray(
-        np.column_stack(sums) / np.where(number > 0.0, number, np.nan)[:, None], dtype=np.float64
-    )
+    sums = owner_sums(owner, count)
+    return np.asarray(sums[:, 1:] / np.where(sums[:, :1] > 0.0, sums[:, :1], np.nan))
 
 
 def vision_bundle(

@@ -16,12 +16,6 @@ from phytac_design.optics.paint import to_srgb
 from phytac_design.optics.render_scene import RenderScene, paint_owner
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-LUMA = np.array([0.299, 0.587, 0.114])
-CHROMA = np.array([0.713, 0.564])
-"""Red less luma to Cr, blue less luma to Cb (as OpenCV has it)."""
-STEP = 2e-3
-"""Of the wall's motion, mm and rad, by which slopes are found."""
-
 
 class PaintPoints:
     """Paint of some markers of one scene, through one camera.
@@ -110,18 +104,22 @@ class PaintPoints:
         A receptor that turns shows more paint on one side and less on the other, so its centroid
         is no point of it. NaN where no paint is followed or seen.
         """
+        step = 2e-3  # of the wall's motion, mm and rad, by which slopes are found
         out = np.full((self.count, 2, 6), np.nan)
         for k in range(6):
             motion = np.zeros((self.count, 6))
-            motion[:, k] = STEP
-            out[:, :, k] = (self.centroids(motion) - self.centroids(-motion)) / (2.0 * STEP)
+            motion[:, k] = step
+            out[:, :, k] = (self.centroids(motion) - self.centroids(-motion)) / (2.0 * step)
         return out
 
     def _seen_chroma(self, light: FloatArray) -> FloatArray:
         """What each triangle (T,) counts for by its share of its paint's full chroma."""
+        # Red less luma to Cr, blue less luma to Cb (as OpenCV has it).
+        chroma_of_rgb = np.array([0.713, 0.564])
+        luma_of_rgb = np.array([0.299, 0.587, 0.114])
         srgb = to_srgb(light)
-        luma = srgb @ LUMA
-        chroma = CHROMA * (srgb[:, [0, 2]] - luma[:, None])
+        luma = srgb @ luma_of_rgb
+        chroma = chroma_of_rgb * (srgb[:, [0, 2]] - luma[:, None])
         size = np.linalg.norm(self.chroma, axis=1)
         share = np.sum(chroma * self.chroma, axis=1) / size**2
         return self.counts(share)

@@ -1,6 +1,5 @@
 """Contacts of a user's rig on the design's surface: places, forces, and whether they make sense."""
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -8,39 +7,20 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.mechanics.indenter import INDENTERS
+from phytac_design.mechanics.indenter import CYLINDER
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems
+from phytac_design.simulation.rig_import.rig_log import RigLog
+from phytac_design.simulation.scenario.scenario_file import FRICTION_MAX
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
 
-@dataclass(frozen=True, kw_only=True)
-class ContactLimits:
-    """When a log's numbers are taken for another unit."""
-
-    radius_min_mm: float = 0.05
-    """Contacts of a smaller radius are taken for a wrong unit."""
-    force_ratio_max: float = 10.0
-    """Forces whose median is this many times the sensor's greatest are in another unit."""
-    friction_max: float = 5.0
-    """Tangential over normal force; rubber on glass reaches 3."""
-
-
-LIMITS = ContactLimits()
-
-LENGTHS = {"m": 1000.0, "cm": 10.0, "inches": 25.4, "µm": 0.001}
-FORCE_UNITS = {"mN": 1e-3, "g": 9.80665e-3}
-CYLINDER = INDENTERS.index("cylinder")
-
-
-def contacts_of(
-    log: RigLog, sensor: Sensor, *, off_mm: float, radius_mm: float, problems: RowProblems
-) -> Contacts:
+def contacts_of(log: RigLog, sensor: Sensor, *, off_mm: float, radius_mm: float) -> Contacts:
     """Contacts of a log, in the order of its samples.
 
-    Rows without force are samples without contact. Bad rows are noted, and are left out.
+    Rows without force are samples without contact. Bad rows are noted in ``log.problems``, and are
+    left out.
 
     Parameters
     ----------
@@ -52,32 +32,27 @@ def contacts_of(
         Farthest that a contact may lie off the wall.
     radius_mm : float
         Of contacts whose radius the log does not say.
-    problems : Problems
-        What is wrong is noted here.
 
     Raises
     ------
     InputError
         If positions or forces are in another unit, or the forces point the other way.
     """
+    radius_min_mm = 0.05  # contacts of a smaller radius are taken for a wrong unit
     design, surface = sensor.design, sensor.surface
     numbers, rows = log.numbers, np.arange(len(log.sample))
-    uv = _places(log, sensor, off_mm, problems)
-    force, friction = _forces(log, design, surface, uv, problems)
+    uv = _places(log, sensor, off_mm)
+    force, friction = _forces(log, design, surface, uv)
     keep = (force > 0.0) & np.isfinite(uv).all(axis=1) & np.isfinite(friction).all(axis=1)
     order = rows[keep][np.argsort(log.sample[keep], kind="stable")]
     length = numbers.get("length_mm", np.zeros(len(rows)))
     bad = keep & (log.indenter == CYLINDER) & ~(length > 0.0)
-    problems.add_rows(
-        bad, log.sample, log.line, lambda _: "a cylinder needs its length_mm, above 0"
-    )
+    log.note(bad, lambda _: "a cylinder needs its length_mm, above 0")
     radius = np.nan_to_num(numbers.get("radius_mm", np.zeros(len(rows))))
     size = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1])
-    bad = keep & (radius > 0.0) & ((radius > size / 2.0) | (radius < LIMITS.radius_min_mm))
-    problems.add_rows(
+    bad = keep & (radius > 0.0) & ((radius > size / 2.0) | (radius < radius_min_mm))
+    log.note(
         bad,
-        log.sample,
-        log.line,
         lambda k: (
             f"a contact of radius {radius[k]:g} mm on a sensor {size:.3g} mm wide; is radius_mm in "
             "mm?"
@@ -114,29 +89,27 @@ def sequences_of(
     return np.concatenate([[0], np.cumsum(new)]).astype(np.int64)
 
 
-def _places(log: RigLog, sensor: Sensor, off_mm: float, problems: RowProblems) -> FloatArray:
+def _places(log: RigLog, sensor: Sensor, off_mm: float) -> FloatArray:
     """Chart positions (r, 2) of all rows; NaN where there is none, or a bad one."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     numbers = log.numbers
     if "x_mm" in numbers:
         points = np.column_stack([numbers[name] for name in ("x_mm", "y_mm", "z_mm")])
-        return _on_surface(log, points, design, surface, off_mm, problems)
+        return _on_surface(log, points, design, surface, off_mm)
     if "u" in numbers:
         uv = np.column_stack([numbers["u"], numbers["v"]])
         low, high = surface.domain.T
         closed = np.array(surface.periodic)
         bad = ~closed & ((uv < low) | (uv > high))
-        problems.add_rows(
+        log.note(
             bad.any(axis=1),
-            log.sample,
-            log.line,
             lambda k: (
                 f"({uv[k, 0]:g}, {uv[k, 1]:g}) is off the surface, whose chart runs from "
                 f"({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g})"
             ),
         )
         return np.where(bad.any(axis=1)[:, None], np.nan, _wrapped(uv, low, high, closed))
-    ids = _marker_ids(log, markers, problems)
+    ids = _marker_ids(log, markers)
     return np.where((ids >= 0)[:, None], markers.uv[np.maximum(ids, 0)], np.nan)
 
 
@@ -144,15 +117,13 @@ def _wrapped(uv: FloatArray, low: FloatArray, high: FloatArray, closed: BoolArra
     return np.where(closed, low + np.mod(uv - low, high - low), uv)
 
 
-def _marker_ids(log: RigLog, markers: Markers, problems: RowProblems) -> IntArray:
+def _marker_ids(log: RigLog, markers: Markers) -> IntArray:
     """Markers (r,) that rows name; -1 where there is none, or no such one."""
     if "marker" in log.numbers:
         named = log.numbers["marker"]
         good = (named >= 0) & (named < markers.count)
-        problems.add_rows(
+        log.note(
             np.isfinite(named) & ~good,
-            log.sample,
-            log.line,
             lambda k: f"marker must be 0 to {markers.count - 1} (got {named[k]:g})",
         )
         return np.where(good, np.nan_to_num(named), -1.0).astype(np.int64)
@@ -172,10 +143,8 @@ def _marker_ids(log: RigLog, markers: Markers, problems: RowProblems) -> IntArra
     out[there] = [
         known.get((int(r), int(c)), -1) for r, c in zip(row[there], column[there], strict=True)
     ]
-    problems.add_rows(
+    log.note(
         there & (out < 0),
-        log.sample,
-        log.line,
         lambda k: f"no marker stands in row {row[k]:g}, column {column[k]:g}",
     )
     return out
@@ -187,14 +156,14 @@ def _on_surface(
     design: Design,
     surface: Surface,
     off_mm: float,
-    problems: RowProblems,
 ) -> FloatArray:
     """Nearest places (r, 2) of points (r, 3) on the outer face; NaN for those too far off."""
+    lengths = {"m": 1000.0, "cm": 10.0, "inches": 25.4, "µm": 0.001}
     given = np.isfinite(points_mm).all(axis=1)
     uv, away = _nearest_places(points_mm[given], design, surface)
     far = away > off_mm
     if len(far) and far.mean() > 0.5:
-        for unit, times in LENGTHS.items():
+        for unit, times in lengths.items():
             if (
                 np.mean(_nearest_places(points_mm[given] * times, design, surface)[1] > off_mm)
                 < 0.1
@@ -207,10 +176,8 @@ def _on_surface(
     out, gap = np.full((len(points_mm), 2), np.nan), np.zeros(len(points_mm))
     out[given] = np.where(far[:, None], np.nan, uv)
     gap[given] = away
-    problems.add_rows(
+    log.note(
         gap > off_mm,
-        log.sample,
-        log.line,
         lambda k: (
             f"({points_mm[k, 0]:g}, {points_mm[k, 1]:g}, {points_mm[k, 2]:g}) mm is "
             f"{gap[k]:.3g} mm off the surface (at most {off_mm:g}); positions are in the sensor's "
@@ -236,9 +203,11 @@ def _nearest_places(
 
 
 def _forces(
-    log: RigLog, design: Design, surface: Surface, uv: FloatArray, problems: RowProblems
+    log: RigLog, design: Design, surface: Surface, uv: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Normal force (r,) N, positive inward, and tangential over normal force (r, 2)."""
+    force_units = {"mN": 1e-3, "g": 9.80665e-3}
+    ratio_max = 10.0  # of the forces' median over the sensor's greatest; above it is another unit
     numbers = log.numbers
     friction = np.zeros((len(uv), 2))
     if "force_N" in numbers:
@@ -266,25 +235,21 @@ def _forces(
         )
     most = design.training.force_max_N
     middle = float(np.median(force[known])) if known.any() else 0.0
-    if middle > LIMITS.force_ratio_max * most:
-        fits = [unit for unit, times in FORCE_UNITS.items() if middle * times <= most]
+    if middle > ratio_max * most:
+        fits = [unit for unit, times in force_units.items() if middle * times <= most]
         guess = f"in {' or '.join(fits)} they would fit; " if fits else ""
         raise InputError(
             "rig-force-unit",
             f"{log.path}: half of the forces are above {middle:g} N, and the sensor is made for up "
             f"to {most:g} N; {guess}convert them to N",
         )
-    problems.add_rows(
+    log.note(
         np.nan_to_num(force) < 0.0,
-        log.sample,
-        log.line,
         lambda k: f"the force pulls outward ({force[k]:g} N); {turn}",
     )
-    slip = np.linalg.norm(friction, axis=1) > LIMITS.friction_max
-    problems.add_rows(
+    slip = np.linalg.norm(friction, axis=1) > FRICTION_MAX
+    log.note(
         slip,
-        log.sample,
-        log.line,
         lambda k: (
             f"the force is mostly along the surface ({np.linalg.norm(friction[k]):.3g} times its "
             "normal part); is it in the sensor's frame?"

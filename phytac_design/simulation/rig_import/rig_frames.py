@@ -8,11 +8,9 @@ import cv2
 import numpy as np
 
 from phytac_decoder.io.recorded_frames import SUFFIXES, read_image, times_in_names
-from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems
+from phytac_design.simulation.rig_import.rig_log import RigLog
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
-
-NUMBER = re.compile(r"(\d+)$")
 
 
 class FrameSource(ABC):
@@ -170,7 +168,8 @@ def open_source(where: Path, *, fps: float | None) -> FrameSource:
 
 
 def _trailing(stem: str) -> int:
-    found = NUMBER.search(stem)
+    number = re.compile(r"(\d+)$")
+    found = number.search(stem)
     return int(found[1]) if found else -1
 
 
@@ -180,7 +179,6 @@ def match_frames(
     *,
     offset_s: float,
     tolerance_s: float | None,
-    problems: RowProblems,
 ) -> IntArray:
     """Picture of each sample, (s,); -1 where there is none, which is noted.
 
@@ -196,8 +194,6 @@ def match_frames(
         Added to the log's clock to give the pictures'.
     tolerance_s : float or None
         Largest difference of times; half the pictures' usual interval if not given.
-    problems : Problems
-        What is wrong is noted here.
 
     Raises
     ------
@@ -210,12 +206,12 @@ def match_frames(
         said = [f"no single frame {text!r} in {source.where}" for text in log.frame]
     else:
         out, said = _nearest(log, source, offset_s, tolerance_s)
-    problems.add_rows(out < 0, np.arange(len(out)), log.first_line, said.__getitem__)
+    log.problems.add_rows(out < 0, np.arange(len(out)), log.first_line, said.__getitem__)
     owner: dict[int, int] = {}
     for sample in np.flatnonzero(out >= 0):
         earlier = owner.setdefault(int(out[sample]), int(sample))
         if earlier != sample:
-            problems.add(
+            log.problems.add(
                 int(sample),
                 f"line {log.first_line[sample]}: its frame {source.names[out[sample]]!r} is also "
                 f"that of line {log.first_line[earlier]}",

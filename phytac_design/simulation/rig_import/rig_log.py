@@ -17,11 +17,11 @@ PLACES = (("x_mm", "y_mm", "z_mm"), ("u", "v"), ("marker",), ("row", "column"))
 """Ways to state a position, each a set of columns."""
 FORCES = (("force_N",), ("fx_N", "fy_N", "fz_N"))
 MATCHES = ("frame", "timestamp_s")
-TEXTS = ("frame", "sample", "indenter")
-OPTIONAL = ("sample", "sequence", "radius_mm", "length_mm", "turn_deg", "indenter")
-WHOLE = ("sequence", "row", "column", "marker")
-IGNORED = ("displacement_mm",)
-KNOWN = (*MATCHES, *OPTIONAL, *(name for ways in (PLACES, FORCES) for way in ways for name in way))
+KNOWN = (
+    *MATCHES,
+    *("sample", "sequence", "radius_mm", "length_mm", "turn_deg", "indenter"),
+    *(name for ways in (PLACES, FORCES) for way in ways for name in way),
+)
 BENCH = {
     "contact_marker": "marker",
     "contact_u": "u",
@@ -32,10 +32,6 @@ BENCH = {
     "patch_radius_mm": "radius_mm",
 }
 """Columns of ``phytac calibrate`` and of the bench's log, and what they are called here."""
-SHOWN = 10
-CELL_SHOWN = 100
-BYTES_MAX = 1 << 28
-"""A log of days; a larger one is something else."""
 SPLIT = "fields are separated by commas, decimals by a point"
 
 
@@ -72,11 +68,12 @@ class RowProblems:
 
     def text(self) -> str:
         """All of it as one sentence, the first ten problems in full."""
+        shown = 10
         lines = list(dict.fromkeys(text for _, text in self.found))
-        more = f" and {len(lines) - SHOWN} more" if len(lines) > SHOWN else ""
+        more = f" and {len(lines) - shown} more" if len(lines) > shown else ""
         count = f"{len(lines)} problems in " if len(lines) > 1 else ""
         return (
-            f"{count}{self.where} ({len(self.samples)} samples): {'; '.join(lines[:SHOWN])}{more}"
+            f"{count}{self.where} ({len(self.samples)} samples): {'; '.join(lines[:shown])}{more}"
         )
 
     def raise_all(self) -> None:
@@ -118,6 +115,8 @@ class RigLog:
         Line on which each sample begins.
     remarks : tuple of str
         Comment lines before the names of the columns.
+    problems : RowProblems
+        What is wrong with single rows.
     """
 
     path: Path
@@ -129,6 +128,11 @@ class RigLog:
     time_s: FloatArray | None
     first_line: IntArray
     remarks: tuple[str, ...]
+    problems: RowProblems
+
+    def note(self, bad: BoolArray, text: Callable[[int], str]) -> None:
+        """Note ``text(row)`` as a problem of each bad row (r,)."""
+        self.problems.add_rows(bad, self.sample, self.line, text)
 
     @property
     def samples(self) -> int:
@@ -147,7 +151,7 @@ def read_rig_log(path: Path, problems: RowProblems) -> RigLog:
     names, rows, remarks = _rows(path)
     names = _with_notes(names, rows)
     _check_names(path, names)
-    columns = {name: [row[name] for _, row in rows] for name in names if name not in IGNORED}
+    columns = {name: [row[name] for _, row in rows] for name in names if name != "displacement_mm"}
     line = np.array([number for number, _ in rows], dtype=np.int64)
     frames = columns.get("frame")
     keys = columns.get("sample") or [str(number) for number in line]
@@ -168,6 +172,7 @@ def read_rig_log(path: Path, problems: RowProblems) -> RigLog:
         time_s=None if times is None else times[first],
         first_line=line[first],
         remarks=remarks,
+        problems=problems,
     )
 
 
@@ -176,8 +181,9 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]], tupl
 
     The comment before a row becomes its field ``#``.
     """
+    bytes_max = 1 << 28  # a log of days; a larger one is something else
     try:
-        lines = read_text(path, encoding="utf-8-sig", bytes_max=BYTES_MAX).splitlines()
+        lines = read_text(path, encoding="utf-8-sig", bytes_max=bytes_max).splitlines()
     except UnicodeDecodeError:
         raise InputError("file-not-csv", f"{path} is not a CSV file: it is not even text") from None
     except OSError as error:
@@ -231,7 +237,7 @@ def _check_names(path: Path, names: list[str]) -> None:
             raise InputError(
                 "csv-column-duplicate", f"{path}: column {name!r} stands there twice; keep one"
             )
-        if name in KNOWN or name in IGNORED:
+        if name in KNOWN or name == "displacement_mm":
             continue
         stem = name.rpartition("_")[0]
         alike = [known for known in KNOWN if known.lower() == name.lower()]
@@ -308,7 +314,9 @@ def _numbers(
     columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: RowProblems
 ) -> dict[str, FloatArray]:
     """Columns of numbers; a place may be left out where the force is zero."""
-    out = {name: _floats(cells) for name, cells in columns.items() if name not in TEXTS}
+    whole = ("sequence", "row", "column", "marker")
+    texts = ("frame", "sample", "indenter")
+    out = {name: _floats(cells) for name, cells in columns.items() if name not in texts}
     force = next(way for way in FORCES if set(way) <= set(out))
     none = np.all([out[name] == 0.0 for name in force], axis=0)
     places = {name for way in PLACES for name in way}
@@ -316,10 +324,10 @@ def _numbers(
         bad = ~np.isfinite(values)
         if name in places:
             bad &= ~none
-        if name in WHOLE:
+        if name in whole:
             bad |= np.isfinite(values) & (values != np.rint(values))
-        kind = "whole number" if name in WHOLE else "finite number"
-        said = [f"{name} is not a {kind} (got {cell[:CELL_SHOWN]!r})" for cell in columns[name]]
+        kind = "whole number" if name in whole else "finite number"
+        said = [f"{name} is not a {kind} (got {cell[:100]!r})" for cell in columns[name]]
         problems.add_rows(bad, sample, line, said.__getitem__)
         values[bad] = np.nan
     for name in sorted({"radius_mm", "length_mm"} & set(out)):
@@ -345,5 +353,5 @@ def _indenters(
     cells = columns.get("indenter", [INDENTERS[0]] * len(sample))
     known = np.array([cell in INDENTERS for cell in cells])
     said = f"indenter must be one of {', '.join(INDENTERS)}"
-    problems.add_rows(~known, sample, line, lambda k: f"{said} (got {cells[k][:CELL_SHOWN]!r})")
+    problems.add_rows(~known, sample, line, lambda k: f"{said} (got {cells[k][:100]!r})")
     return np.array([INDENTERS.index(cell) if cell in INDENTERS else 0 for cell in cells])

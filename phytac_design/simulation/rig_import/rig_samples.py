@@ -24,16 +24,11 @@ from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.simulation.contacts import Contacts, Switching, assign_forces
 from phytac_design.simulation.rig_import.rig_frames import FrameSource
-from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems
+from phytac_design.simulation.rig_import.rig_log import RigLog
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
-SAY_EVERY = 25
-SURE = 2.0
-"""A footprint that carries this many times its switch's threshold must turn it on."""
-WEAK = 0.3
-"""Forces whose median is below this share of the thresholds they overcame are in another unit."""
 REASONS = (
     f"fewer than {100 * FOUND_WELL:.0f} % of the markers were found",
     "the whole image has shifted against rest: the camera has moved",
@@ -107,7 +102,6 @@ def measure_samples(
     numbers: IntArray,
     samples: IntArray,
     rest_px: FloatArray | None,
-    problems: RowProblems,
     progress: Callable[[str], None],
 ) -> dict[int, FrameMeasurement]:
     """What the pictures of some samples show; those that show no sensor are noted.
@@ -124,6 +118,7 @@ def measure_samples(
     InputError
         If the pictures are of another size than the bundle's cameras.
     """
+    say_every = 25
     order = samples[np.argsort(numbers[0, samples], kind="stable")]
     seen: dict[int, FrameMeasurement] = {}
     for count, sample in enumerate(map(int, order)):
@@ -131,7 +126,7 @@ def measure_samples(
         try:
             frames = rig.frames(numbers[:, sample])
         except InputError as error:
-            problems.add(sample, f"line {log.first_line[sample]}: {error}")
+            log.problems.add(sample, f"line {log.first_line[sample]}: {error}")
             continue
         if count == 0:
             for frame, camera in zip(frames, rig.bundle.cameras, strict=True):
@@ -139,8 +134,8 @@ def measure_samples(
         try:
             seen[sample] = measure_frame(rig.bundle, frames, rest_px=rest_px)
         except InputError as error:
-            problems.add(sample, f"line {log.first_line[sample]}: frame {name!r}: {error}")
-        if (count + 1) % SAY_EVERY == 0 or count + 1 == len(order):
+            log.problems.add(sample, f"line {log.first_line[sample]}: frame {name!r}: {error}")
+        if (count + 1) % say_every == 0 or count + 1 == len(order):
             progress(f"import: {count + 1} of {len(order)} frames")
     return seen
 
@@ -198,6 +193,7 @@ def _remarks(
     switching: Switching,
 ) -> BoolArray:
     """Which of ``REASONS`` holds for each sample, (s, 4)."""
+    sure = 2.0  # a footprint that carries this many times its switch's threshold must turn it on
     out = np.zeros((len(seen), len(REASONS)), dtype=np.bool_)
     for row, measured in zip(out, seen, strict=True):
         row[0] = measured.found.mean() < FOUND_WELL
@@ -206,7 +202,7 @@ def _remarks(
             if own.any():
                 moved = np.median(measured.shift_px[own], axis=0)
                 row[1] |= bool(np.linalg.norm(moved) > CAMERA_SHIFT_MAX_px)
-    limit = SURE * thresholds_N(rig.design, rig.markers)
+    limit = sure * thresholds_N(rig.design, rig.markers)
     must = share * touches.force_N[:, None] > limit
     np.logical_or.at(out[:, 2], touches.sample, (must & ~bits[touches.sample]).any(axis=1))
     out[:, 3] = (bits & (switching.owner < 0)).any(axis=1)
@@ -215,10 +211,12 @@ def _remarks(
 
 def _doubt(rig: RigSetup, touches: Contacts, share: FloatArray, switching: Switching) -> str:
     """Doubt about the unit of forces, from the thresholds they overcame; empty for none."""
+    # Forces whose median is below this share of the thresholds they overcame are in another unit.
+    weak = 0.3
     carried = share * touches.force_N[:, None]
     mine = switching.owner[touches.sample] == np.arange(len(touches.sample))[:, None]
     ratio = (carried / thresholds_N(rig.design, rig.markers))[mine]
-    if len(ratio) == 0 or np.median(ratio) >= WEAK:
+    if len(ratio) == 0 or np.median(ratio) >= weak:
         return ""
     return (
         f"switches turned on at {np.median(ratio):.2g} times their threshold (median of "

@@ -1,23 +1,17 @@
 """Where a scenario presses: places drawn on the surface, or read from the file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from phytac_design.layout import Markers
-from phytac_design.simulation.contacts import JITTER_MM, JITTER_SHARE, tangent_step
-from phytac_design.simulation.scenario.scenario_sections import ContactsSection, GivenContact
+from phytac_design.simulation.contacts import rig_jitter_mm, tangent_step
+from phytac_design.simulation.sample_plan import ChartBox
+from phytac_design.simulation.scenario.scenario_file import ContactsSection, GivenContact
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
-
-SURFACE_GAP_MAX_mm = 10.0
-"""A point given by hand may lie this far beyond its patch's radius from the surface."""
-CELLS = 128
-"""Cells along each side of the touched part in tables of area."""
-STATIONS = 513
-"""Stations along an edge in tables of its length."""
 
 PlaceSampler = Callable[[IntArray, FloatArray], FloatArray]
 """(number (m,) of a receptor to press, or -1 for any; four random numbers (m, 4) in [0, 1)) ->
@@ -59,8 +53,10 @@ class ChartWindow:
         return np.where(np.array(self.surface.periodic), around, np.clip(uv, start, end))
 
 
-def chart_window(surface: Surface, touch: ContactsSection) -> ChartWindow:
-    """Touched part of the chart.
+def chart_window(
+    surface: Surface, along: Sequence[float], around: Sequence[float], where: str = "touch"
+) -> ChartWindow:
+    """Part of the chart between two shares along it and two around it; ``where`` has them.
 
     Raises
     ------
@@ -69,14 +65,14 @@ def chart_window(surface: Surface, touch: ContactsSection) -> ChartWindow:
     """
     start, end = surface.domain.T
     span = end - start
-    first = np.array([touch.along[0], touch.around[0]])
-    size = np.array([touch.along[1], touch.around[1]]) - first
+    first = np.array([along[0], around[0]])
+    size = np.array([along[1], around[1]]) - first
     if size[1] < 0.0:
         if not surface.periodic[1]:
             raise DesignError(
                 "range-over-open-seam",
-                f"touch.around runs over a seam, but the {surface.name} is open there (got "
-                f"{list(touch.around)}); let it grow",
+                f"{where}.around runs over a seam, but the {surface.name} is open there (got "
+                f"{list(around)}); let it grow",
             )
         size[1] += 1.0
     return ChartWindow(low=start + first * span, size=size * span, surface=surface)
@@ -103,7 +99,7 @@ def place_sampler(
     DesignError
         If the touched part holds no receptor, no area that senses or no open edge.
     """
-    part = chart_window(surface, touch)
+    part = chart_window(surface, touch.along, touch.around)
     if touch.placement == "anywhere":
         return _by_area(part)
     if touch.placement == "rims":
@@ -115,7 +111,7 @@ def jitter_of(touch: ContactsSection, least_mm: float) -> float:
     """How far from a receptor's middle it is hit, along and around, mm."""
     if touch.jitter_mm is not None:
         return touch.jitter_mm
-    return min(JITTER_MM, JITTER_SHARE * least_mm)
+    return rig_jitter_mm(least_mm)
 
 
 def traverse(surface: Surface, markers: Markers, touch: ContactsSection) -> IntArray:
@@ -123,7 +119,7 @@ def traverse(surface: Surface, markers: Markers, touch: ContactsSection) -> IntA
 
     Off a lattice they are taken strip by strip around, each along the sensor.
     """
-    held = np.flatnonzero(chart_window(surface, touch).holds(markers.uv))
+    held = np.flatnonzero(chart_window(surface, touch.along, touch.around).holds(markers.uv))
     if markers.in_rows:
         return held[np.lexsort((markers.row[held], markers.column[held]))]
     strips = max(round(float(np.sqrt(len(held)))), 1)
@@ -154,7 +150,8 @@ def _on_receptors(part: ChartWindow, markers: Markers, jitter_mm: float) -> Plac
 
 def _by_area(part: ChartWindow) -> PlaceSampler:
     """Even over the area of the part that senses."""
-    middle = (np.arange(CELLS) + 0.5) / CELLS
+    cells = 128  # cells along each side of the touched part in tables of area
+    middle = (np.arange(cells) + 0.5) / cells
     grid = np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
     places = part.at(grid)
     area = _area_elements(part.surface, places)
@@ -164,9 +161,9 @@ def _by_area(part: ChartWindow) -> PlaceSampler:
     whole /= whole[-1]
 
     def place(_: IntArray, draw: FloatArray) -> FloatArray:
-        cell = np.clip(np.searchsorted(whole, draw[:, 0], side="right") - 1, 0, CELLS**2 - 1)
-        corner = np.stack(np.divmod(cell, CELLS), axis=1)
-        uv = part.at((corner + draw[:, 1:3]) / CELLS)
+        cell = np.clip(np.searchsorted(whole, draw[:, 0], side="right") - 1, 0, cells**2 - 1)
+        corner = np.stack(np.divmod(cell, cells), axis=1)
+        uv = part.at((corner + draw[:, 1:3]) / cells)
         return np.where(part.surface.sensing(uv)[:, None], uv, np.nan)
 
     return place
@@ -185,7 +182,8 @@ def _near_edges(part: ChartWindow, rim_mm: float) -> PlaceSampler:
     start, end = surface.domain.T
     span = end - start
     held: list[tuple[int, float, float]] = []
-    stations = np.linspace(0.0, 1.0, STATIONS)
+    count = 513  # stations along an edge in tables of its length
+    stations = np.linspace(0.0, 1.0, count)
     tables: list[FloatArray] = []
     for axis, side in surface.edges():
         edge = surface.domain[axis, side]
@@ -193,11 +191,11 @@ def _near_edges(part: ChartWindow, rim_mm: float) -> PlaceSampler:
         if abs(float(reached - edge)) > 1e-9 * span[axis]:
             continue
         other = 1 - axis
-        uv = np.empty((STATIONS, 2))
+        uv = np.empty((count, 2))
         uv[:, axis] = edge
         uv[:, other] = part.low[other] + stations * part.size[other]
         speed = np.sqrt(surface.metric(part.wrapped(uv))[:, other, other])
-        steps = (speed[1:] + speed[:-1]) / 2.0 * part.size[other] / (STATIONS - 1)
+        steps = (speed[1:] + speed[:-1]) / 2.0 * part.size[other] / (count - 1)
         tables.append(np.concatenate([[0.0], np.cumsum(steps)]))
         held.append((axis, float(edge), 1.0 if side == 0 else -1.0))
     if not held:
@@ -238,6 +236,8 @@ def places_at(surface: Surface, markers: Markers, items: tuple[GivenContact, ...
 
 
 def _place_at(surface: Surface, markers: Markers, number: int, item: GivenContact) -> FloatArray:
+    # A point given by hand may lie this far beyond its patch's radius from the surface.
+    gap_max_mm = 10.0
     where = f"touch.at.{number}"
     start, end = surface.domain.T
     if item.point_mm is not None:
@@ -251,7 +251,7 @@ def _place_at(surface: Surface, markers: Markers, number: int, item: GivenContac
         closed = np.array(surface.periodic)
         uv = np.asarray(np.where(closed, found, np.clip(found, start, end)))
         away = float(np.linalg.norm(surface.point(uv[None])[0] - np.array(item.point_mm)))
-        if away > SURFACE_GAP_MAX_mm + item.radius_mm:
+        if away > gap_max_mm + item.radius_mm:
             raise DesignError(
                 "contact-point-off-surface",
                 f"{where}: point_mm = {list(item.point_mm)} is {away:.3g} mm from the "
@@ -280,3 +280,80 @@ def _place_at(surface: Surface, markers: Markers, number: int, item: GivenContac
             f"0 to {markers.row.max()}, columns 0 to {markers.column.max()})",
         )
     return np.asarray(markers.uv[np.argmax(here)])
+
+
+CELLS = 128
+"""Cells along each axis of the chart in which the patches are looked up."""
+
+
+def contact_box(surface: Surface, uv: FloatArray, reach_mm: FloatArray) -> ChartBox:
+    """Box of the chart around all patches, to about a cell of ``CELLS`` and never less.
+
+    Patches are sought in space, as pressure is (distances are chords), so seams and poles are
+    places like any other. Without any patch the box is empty: the middle of the chart.
+
+    Parameters
+    ----------
+    surface : Surface
+        The outer face.
+    uv : (m, 2) float
+        Centres of patches.
+    reach_mm : (m,) float
+        Their sizes from the centre.
+    """
+    start, end = surface.domain.T
+    if len(uv) == 0:
+        middle = (start + end) / 2.0
+        return ChartBox(low=middle, high=middle.copy(), whole=np.zeros(2, dtype=np.bool_))
+    axes = [np.linspace(a, b, CELLS + 1) for a, b in zip(start, end, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    at = surface.point(grid.reshape(-1, 2))
+    corner = at.reshape(CELLS + 1, CELLS + 1, 3)
+    diagonal = max(
+        float(np.linalg.norm(corner[1:, 1:] - corner[:-1, :-1], axis=2).max()),
+        float(np.linalg.norm(corner[1:, :-1] - corner[:-1, 1:], axis=2).max()),
+    )
+    covered = np.zeros(len(at), dtype=np.bool_)
+    for reach in np.unique(reach_mm):
+        covered |= _near(at, surface.point(uv[reach_mm == reach]), float(reach) + diagonal)
+    marks = covered.reshape(corner.shape[:2])
+    box = [
+        _covered(np.asarray(marks.any(axis=1 - k)), axes[k], closed=surface.periodic[k])
+        for k in range(2)
+    ]
+    return ChartBox(
+        low=np.array([low for low, _, _ in box]),
+        high=np.array([high for _, high, _ in box]),
+        whole=np.array([whole for _, _, whole in box]),
+    )
+
+
+def _near(at: FloatArray, centres: FloatArray, reach_mm: float) -> BoolArray:
+    """Whether points (g, 3) lie within reach of any of the centres (m, 3), (g,)."""
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(centres).query(at, distance_upper_bound=reach_mm)
+    return np.asarray(np.isfinite(distance))
+
+
+def _covered(marks: BoolArray, stations: FloatArray, *, closed: bool) -> tuple[float, float, bool]:
+    """Ends of the shortest interval around marked stations, and whether it is the whole axis."""
+    first, last = float(stations[0]), float(stations[-1])
+    held = np.flatnonzero(marks)
+    if not closed:
+        low, high = float(stations[held[0]]), float(stations[held[-1]])
+        return low, high, bool(low <= first and high >= last)
+    # The two ends of a closed axis are one station.
+    held = np.unique(held % CELLS)
+    gaps = np.diff(np.append(held, held[0] + CELLS))
+    widest = int(np.argmax(gaps))
+    if gaps[widest] <= 2:
+        return first, last, True
+    low = float(stations[held[(widest + 1) % len(held)]])
+    return low, float(stations[held[widest]]), False
+
+
+def window_grid(part: ChartWindow) -> FloatArray:
+    """Places (m, 2) all over a part of the chart, no farther apart than cells of ``CELLS``."""
+    share = np.linspace(0.0, 1.0, CELLS + 1)
+    return part.at(np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1).reshape(-1, 2))

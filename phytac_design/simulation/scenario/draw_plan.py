@@ -11,8 +11,11 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.simulation.contacts import Contacts, Switching, assign_forces
 from phytac_design.simulation.sample_plan import ChartBox, SamplePlan
-from phytac_design.simulation.scenario.contact_box import contact_box, window_grid
-from phytac_design.simulation.scenario.contact_placement import chart_window
+from phytac_design.simulation.scenario.contact_placement import (
+    chart_window,
+    contact_box,
+    window_grid,
+)
 from phytac_design.simulation.scenario.grips import draw_grips, grip_section, level_forces
 from phytac_design.simulation.scenario.presses import (
     contact_ranges,
@@ -22,8 +25,7 @@ from phytac_design.simulation.scenario.presses import (
     press_count,
     reach_mm,
 )
-from phytac_design.simulation.scenario.scenario_file import Scenario
-from phytac_design.simulation.scenario.scenario_sections import CycleSection, TimeSection
+from phytac_design.simulation.scenario.scenario_file import CycleSection, Scenario, TimeSection
 from phytac_design.simulation.scenario.viscoelasticity import (
     Relaxation,
     felt_cycles,
@@ -36,13 +38,6 @@ from phytac_design.simulation.scenario.viscoelasticity import (
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
-
-SUBSTEPS = 8
-"""Steps of each piece of a press under a prescribed depth, to find where the wall lets go."""
-NEGLIGIBLE = 1e-9
-"""A contact at rest whose creep is less than this share of its peak is no contact."""
-BLOCK = 2000
-"""Samples whose switches are worked out at once, to bound the memory."""
 
 Shares = Callable[[Contacts], FloatArray]
 """(c contacts) -> share of the force of each on each footprint, (c, n)."""
@@ -129,7 +124,7 @@ def _region(design: Design, surface: Surface, scenario: Scenario, touches: Conta
     touch = scenario.touch
     if touch.at is not None or scenario.kind == "cycles":
         return contact_box(surface, touches.uv, reach_mm(touches))
-    places = window_grid(chart_window(surface, touch))
+    places = window_grid(chart_window(surface, touch.along, touch.around))
     reach = largest_reach_mm(touch, contact_ranges(design, touch))
     return contact_box(surface, places, np.full(len(places), reach))
 
@@ -222,6 +217,10 @@ def _cycles(
     design: Design, surface: Surface, markers: Markers, scenario: Scenario, seed: int
 ) -> ContactHistory:
     """One press again and again; what it left behind stays."""
+    # A contact at rest whose creep is less than this share of its peak is no contact.
+    negligible = 1e-9
+    # Steps of each piece of a press under a prescribed depth, to find where the wall lets go.
+    substeps = 8
     touch, time, cycle = scenario.touch, scenario.time, scenario.cycle or CycleSection()
     if touch.at is None:
         bodies = draw_presses(
@@ -229,7 +228,7 @@ def _cycles(
         )
     else:
         bodies = given_contacts(surface, markers, touch, 1)
-    parts = 4 if time.control == "force" else 4 * SUBSTEPS
+    parts = 4 if time.control == "force" else 4 * substeps
     phases = np.array(cycle.phases)
     nodes = np.unique(np.concatenate([np.linspace(0.0, 4.0, parts + 1), phases]))
     ends = np.cumsum([0.0, time.ramp_s, time.hold_s, time.release_s, time.rest_s])
@@ -247,7 +246,7 @@ def _cycles(
     most = np.maximum.accumulate(gauge, axis=1)[:, taken].ravel()
     now, left = gauge[:, taken].ravel(), felt[:, taken].ravel()
     samples, count = len(now), len(bodies.force_N)
-    row = np.repeat(np.flatnonzero((now > 0.0) | (left > NEGLIGIBLE)), count)
+    row = np.repeat(np.flatnonzero((now > 0.0) | (left > negligible)), count)
     body = np.tile(np.arange(count), len(row) // max(count, 1))
     peak = bodies.force_N[body]
     return ContactHistory(
@@ -260,11 +259,13 @@ def _cycles(
     )
 
 
-def _switching(pressed: ContactHistory, unit: SensorInstance, shares: Shares) -> Switching:
-    """Switches with their hysteresis, some samples at a time."""
+def _switching(
+    pressed: ContactHistory, unit: SensorInstance, shares: Shares, *, block: int = 2000
+) -> Switching:
+    """Switches with their hysteresis, ``block`` samples at a time to bound the memory."""
     touches, parts = pressed.touches, []
-    for first in range(0, touches.samples, BLOCK):
-        last = min(first + BLOCK, touches.samples)
+    for first in range(0, touches.samples, block):
+        last = min(first + block, touches.samples)
         begin, end = np.searchsorted(touches.sample, [first, last])
         rows = np.arange(begin, end)
         own = touches.take(rows)

@@ -1,7 +1,5 @@
 """A hand of fixed pads around a sensor: where its pads lie, and how hard each of them presses."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from phytac_design.design.spec import Design
@@ -9,26 +7,10 @@ from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.scenario.contact_placement import ChartWindow, chart_window
 from phytac_design.simulation.scenario.presses import ContactRanges, contact_ranges, draw_indenters
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
-from phytac_design.simulation.scenario.scenario_file import Scenario
-from phytac_design.simulation.scenario.scenario_sections import GripSection
+from phytac_design.simulation.scenario.scenario_file import GripSection, Scenario
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
-
-
-@dataclass(frozen=True, kw_only=True)
-class PadSettings:
-    """How pads of a hand are fitted and loaded."""
-
-    gap: float = 0.98
-    """Pads that would overlap shrink until two neighbours take up this share of their distance."""
-    share_min: float = 0.2
-    """Pads that would have to shrink below this share of their radius are rejected."""
-    total_share: float = 0.98
-    """Largest sum of forces where none is given, over that of all pads at their largest."""
-
-
-SETTINGS = PadSettings()
 
 
 def draw_grips(
@@ -45,7 +27,8 @@ def draw_grips(
     DesignError
         If the pads have no room.
     """
-    limits, part = contact_ranges(design, scenario.touch), chart_window(surface, scenario.touch)
+    touch, limits = scenario.touch, contact_ranges(design, scenario.touch)
+    part = chart_window(surface, touch.along, touch.around)
     grip = grip_section(scenario)
     count = len(grip.pads)
     draws = [random_stream(seed, RandomStream.GRIP, g) for g in range(grips)]
@@ -53,7 +36,7 @@ def draw_grips(
     body = np.array([rng.random((count, 5)) for rng in draws]).reshape(-1, 5)
     spread = np.array([rng.standard_normal(count) for rng in draws]).reshape(-1, count)
     uv = part.wrapped(_pad_positions(grip, part, header).reshape(-1, 2))
-    indenters = draw_indenters(scenario.touch, limits.radius_mm, body)
+    indenters = draw_indenters(touch, limits.radius_mm, body)
     reach = np.hypot(indenters["radius_mm"], indenters["length_mm"] / 2.0)
     shrink = _shrink(surface, uv, reach, count)
     share = np.array([pad.share for pad in grip.pads]) * np.exp(grip.scatter * spread)
@@ -88,16 +71,18 @@ def _pad_positions(grip: GripSection, part: ChartWindow, header: FloatArray) -> 
 
 def _shrink(surface: Surface, uv: FloatArray, reach_mm: FloatArray, count: int) -> FloatArray:
     """Factor (m,) on the size of each pad, so that the ``count`` pads of a grip do not overlap."""
+    gap = 0.98  # share of their distance that two neighbours take up after they shrank
+    share_min = 0.2  # pads that would have to shrink below this share of their radius are rejected
     if count < 2:
         return np.ones(len(uv))
     at = surface.point(uv).reshape(-1, count, 3)
     reach = reach_mm.reshape(-1, count)
     apart = np.linalg.norm(at[:, :, None] - at[:, None], axis=3)
     apart += np.where(np.eye(count, dtype=np.bool_), np.inf, 0.0)
-    fits = SETTINGS.gap * apart / (reach[:, :, None] + reach[:, None])
+    fits = gap * apart / (reach[:, :, None] + reach[:, None])
     out = np.minimum(fits.min(axis=2), 1.0).ravel()
     worst = int(np.argmin(out))
-    if out[worst] < SETTINGS.share_min:
+    if out[worst] < share_min:
         raise DesignError(
             "grip-pads-no-room",
             f"the pads of a hand have no room on the {surface.name}: pad {worst % count} would "
@@ -120,10 +105,11 @@ def level_forces(
     DesignError
         If all pads at their largest do not reach the sum.
     """
+    total_share = 0.98  # largest sum where none is given, over that of all pads at their largest
     grip = grip_section(scenario)
     count, most = parts.shape[1], limits.force_N[1]
     low = count * limits.force_N[0] if grip.total_min_N is None else grip.total_min_N
-    high = SETTINGS.total_share * count * most if grip.total_max_N is None else grip.total_max_N
+    high = total_share * count * most if grip.total_max_N is None else grip.total_max_N
     if high > count * most:
         raise DesignError(
             "grip-force-range",

@@ -1,6 +1,6 @@
 """Drawing one sensor instance: how it differs from its design."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,29 +13,10 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.contacts import tangent_step
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
-from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
-
-CUT_SD = 3.0
-"""Normal variates are cut at so many standard deviations: no print is beyond reason."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScatterSettings:
-    """How sensor instances scatter; part of what a seed stands for."""
-
-    waves: int = 6
-    """Waves of the wall's thickness."""
-    cycles_max: int = 3
-    """Most cycles of such a wave along an axis."""
-
-
-SETTINGS = ScatterSettings()
-
-HEIGHT_SHARE_MIN = 0.2
-"""A receptor keeps at least this share of its height."""
 
 
 def draw_sensor_instance(
@@ -104,10 +85,12 @@ def draw_sensor_instance(
 
 
 def cut_normal(rng: np.random.Generator, *shape: int) -> FloatArray:
-    """Draw standard normal variates, none beyond ``CUT_SD``."""
+    """Draw standard normal variates, none beyond three standard deviations."""
+    # Normal variates are cut at so many standard deviations: no print is beyond reason.
+    cut_sd = 3.0
     from scipy.special import ndtr, ndtri
 
-    low = ndtr(-CUT_SD)
+    low = ndtr(-cut_sd)
     return np.asarray(ndtri(low + (1.0 - 2.0 * low) * rng.random(shape)))
 
 
@@ -119,14 +102,16 @@ def _wall(surface: Surface, section: SensorInstanceSection, seed: int) -> Thickn
     """
     if section.number == 0:
         return ThicknessField(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain)
+    # Waves, and most cycles of one along an axis; part of what a seed stands for.
+    waves, cycles_max = 6, 3
     rng = random_stream(seed, RandomStream.WAVE, section.number)
     steps = np.where(surface.periodic, 1.0, 0.5)
-    most = np.array([SETTINGS.cycles_max, 0 if any(surface.poles) else SETTINGS.cycles_max])
+    most = np.array([cycles_max, 0 if any(surface.poles) else cycles_max])
     grid = np.stack(
         np.meshgrid(*(np.arange(0.0, m + 0.25, s) for m, s in zip(most, steps, strict=True))), -1
     ).reshape(-1, 2)
     known = grid[np.any(grid > 0.0, axis=1)]
-    cycles = known[rng.permutation(len(known))[: SETTINGS.waves]]
+    cycles = known[rng.permutation(len(known))[:waves]]
     phase = rng.uniform(0.0, 2.0 * np.pi, len(cycles))
     if any(surface.poles):
         pole = 1.0 if surface.poles[1] else 0.0
@@ -145,6 +130,7 @@ def _moved(sensor: Sensor, *, step_mm: FloatArray, taller_mm: FloatArray) -> Mar
 
     Rows, columns, colours and neighbours stay; a lattice that is no longer exact goes.
     """
+    height_share_min = 0.2  # a receptor keeps at least this share of its height
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     out = markers
     if step_mm.any():
@@ -171,7 +157,7 @@ def _moved(sensor: Sensor, *, step_mm: FloatArray, taller_mm: FloatArray) -> Mar
         )
     if out is markers and not taller_mm.any():
         return markers
-    height = np.maximum(markers.height_mm + taller_mm, HEIGHT_SHARE_MIN * markers.height_mm)
+    height = np.maximum(markers.height_mm + taller_mm, height_share_min * markers.height_mm)
     return with_heights(design, surface, out, height)
 
 

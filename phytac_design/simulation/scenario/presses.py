@@ -22,31 +22,10 @@ from phytac_design.simulation.scenario.contact_placement import (
     traverse,
 )
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
-from phytac_design.simulation.scenario.scenario_file import Scenario
-from phytac_design.simulation.scenario.scenario_sections import LENGTH_RADII, ContactsSection
+from phytac_design.simulation.scenario.scenario_file import LENGTH_RADII, ContactsSection, Scenario
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlacingSettings:
-    """How places are tried for the contacts of a sample; part of what a seed stands for."""
-
-    tries: int = 400
-    """Places tried for the contacts of one sample."""
-    first: int = 8
-    """Places drawn at once for every sample."""
-    more: int = 56
-    """Places drawn at once for samples that need more."""
-    draws: int = 10
-    """Random numbers of one candidate: place (4), radius, force, kind, turn, friction (2)."""
-
-
-SETTINGS = PlacingSettings()
-
-CHUNK = 4096
-"""Samples drawn at once, to bound the memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +101,13 @@ def given_contacts(
 
 
 def draw_presses(
-    sensor: Sensor, scenario: Scenario, *, seed: int, samples: int, alone: bool = False
+    sensor: Sensor,
+    scenario: Scenario,
+    *,
+    seed: int,
+    samples: int,
+    alone: bool = False,
+    chunk: int = 4096,
 ) -> Contacts:
     """Draw the contacts of independent samples; a sample depends on the seed and its number only.
 
@@ -141,6 +126,8 @@ def draw_presses(
         How many.
     alone : bool
         One contact in every sample.
+    chunk : int
+        Samples drawn at once, to bound the memory.
 
     Raises
     ------
@@ -152,8 +139,8 @@ def draw_presses(
     place = place_sampler(surface, markers, touch, limits.radius_mm[0])
     route = traverse(surface, markers, touch) if touch.placement == "columns" else None
     parts = []
-    for first in range(0, samples, CHUNK):
-        numbers = np.arange(first, min(first + CHUNK, samples))
+    for first in range(0, samples, chunk):
+        numbers = np.arange(first, min(first + chunk, samples))
         wanted = np.ones(len(numbers), dtype=np.int64)
         draw = _Draw(
             surface=surface,
@@ -199,7 +186,12 @@ def concatenate_contacts(parts: Sequence[Contacts], samples: int) -> Contacts:
 
 @dataclass(frozen=True, kw_only=True)
 class _Draw:
-    """What is the same for all samples while their contacts are drawn."""
+    """What is the same for all samples while their contacts are drawn.
+
+    How places are tried is part of what a seed stands for: ``tries`` for the contacts of one
+    sample, ``first`` at once for every sample, then ``more`` at once for those that need more. A
+    candidate takes ``draws`` random numbers: place (4), radius, force, kind, turn, friction (2).
+    """
 
     surface: Surface
     touch: ContactsSection
@@ -207,6 +199,10 @@ class _Draw:
     place: PlaceSampler
     route: IntArray | None
     room_mm: float
+    tries: int = 400
+    first: int = 8
+    more: int = 56
+    draws: int = 10
 
     def fill(
         self, numbers: IntArray, wanted: IntArray, rngs: Sequence[np.random.Generator]
@@ -215,9 +211,9 @@ class _Draw:
         kept: list[Contacts] = []
         taken: list[list[tuple[FloatArray, float]]] = [[] for _ in numbers]
         lacking, tried = np.flatnonzero(wanted > 0), 0
-        while len(lacking) and tried < SETTINGS.tries:
-            count = SETTINGS.first if tried == 0 else SETTINGS.more
-            draws = np.concatenate([rngs[int(k)].random((count, SETTINGS.draws)) for k in lacking])
+        while len(lacking) and tried < self.tries:
+            count = self.first if tried == 0 else self.more
+            draws = np.concatenate([rngs[int(k)].random((count, self.draws)) for k in lacking])
             receptor = np.full((len(lacking), count), -1, dtype=np.int64)
             if tried == 0 and self.route is not None:
                 receptor[:, 0] = self.route[numbers[lacking] % len(self.route)]
@@ -237,9 +233,7 @@ class _Draw:
         for k in lacking:
             self.reject_cramped(int(numbers[k]), len(taken[k]), int(wanted[k]))
         if not kept:
-            return self.candidates(
-                *(np.zeros(0, dtype=np.int64),) * 2, np.zeros((0, SETTINGS.draws))
-            )
+            return self.candidates(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros((0, self.draws)))
         whole = concatenate_contacts(kept, len(numbers))
         return whole.take(np.argsort(whole.sample, kind="stable"))
 
@@ -254,7 +248,7 @@ class _Draw:
             what = "a contact" if got == 0 else "two contacts apart from each other"
             raise DesignError(
                 "presses-no-room",
-                f"sample {number}: no room for {what} in the touched part after {SETTINGS.tries} "
+                f"sample {number}: no room for {what} in the touched part after {self.tries} "
                 "tries; widen touch.along and touch.around, lower touch.radius_max_mm, or set "
                 "touch.multi_share = 0",
             )

@@ -8,9 +8,6 @@ from enum import IntEnum
 
 import numpy as np
 
-SCENARIO_SEED = 6
-"""Second word of every seed here; other parts of the simulation use others."""
-
 
 class RandomStream(IntEnum):
     """What random numbers are for."""
@@ -33,4 +30,5 @@ class RandomStream(IntEnum):
 
 def random_stream(seed: int, purpose: RandomStream, index: int) -> np.random.Generator:
     """Generator of one purpose and one index (a sample, a grip, a print)."""
-    return np.random.default_rng([seed, SCENARIO_SEED, int(purpose), index])
+    scenario_seed = 6  # second word of every seed here; other parts of the simulation use others
+    return np.random.default_rng([seed, scenario_seed, int(purpose), index])

@@ -7,10 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phytac_design.layout import Markers
+from phytac_design.layout.arc import area_elements
 from phytac_design.layout.worst_places import press_places
 from phytac_design.simulation.sample_plan import ChartBox
-from phytac_design.simulation.scenario.contact_box import contact_box, window_grid
-from phytac_design.simulation.scenario.contact_placement import ChartWindow
+from phytac_design.simulation.scenario.contact_placement import (
+    ChartWindow,
+    chart_window,
+    contact_box,
+    window_grid,
+)
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
@@ -19,9 +24,6 @@ if TYPE_CHECKING:
     from phytac_design.design.scene import SceneRegionSection
     from phytac_design.engine.stage import Context
 
-MARGIN_SPACINGS = 3.0
-"""Places beyond a region, in their spacings: the cubics of those inside it are then the whole
-table's, whose twenty places reach 2.8 spacings."""
 PRESSES_LEAST = 4
 """Minimum number of places to press in a region."""
 
@@ -69,7 +71,10 @@ class Scope:
 
     def near(self, spacing_mm: float, uv: FloatArray) -> BoolArray:
         """Places (m,) of a table that contacts of the scene need."""
-        return np.asarray(self.distance_mm(uv) <= MARGIN_SPACINGS * spacing_mm)
+        # Places beyond a region, in their spacings: the cubics of those inside it are then the
+        # whole table's, whose twenty places reach 2.8 spacings.
+        margin_spacings = 3.0
+        return np.asarray(self.distance_mm(uv) <= margin_spacings * spacing_mm)
 
     @cached_property
     def touched(self) -> ChartBox:
@@ -81,10 +86,9 @@ class Scope:
         """Share of the surface's area that contacts are centred in."""
         (u0, u1), (v0, v1) = self.surface.domain
         middle = (np.arange(200) + 0.5) / 200
-        shares = np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
-        uv = np.array([u0, v0]) + shares * np.array([u1 - u0, v1 - v0])
-        metric = self.surface.metric(uv)
-        area = np.sqrt(np.maximum(metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2, 0.0))
+        u, v = u0 + middle * (u1 - u0), v0 + middle * (v1 - v0)
+        uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+        area = area_elements(self.surface, u, v).ravel()
         return float(area[self.holds(uv)].sum() / area.sum())
 
     def presses(
@@ -135,22 +139,10 @@ def windows_of(
     DesignError
         If a region crosses a seam that the surface does not have.
     """
-    start, end = surface.domain.T
-    span = end - start
-    out = []
-    for number, region in enumerate(regions):
-        size = np.array([region.along[1] - region.along[0], region.around[1] - region.around[0]])
-        if size[1] < 0.0:
-            if not surface.periodic[1]:
-                raise DesignError(
-                    "range-over-open-seam",
-                    f"regions.{number}.around runs over a seam, but the {surface.name} is open "
-                    f"there (got {list(region.around)}); let it grow",
-                )
-            size[1] += 1.0
-        low = start + np.array([region.along[0], region.around[0]]) * span
-        out.append(ChartWindow(low=low, size=size * span, surface=surface))
-    return tuple(out)
+    return tuple(
+        chart_window(surface, region.along, region.around, f"regions.{number}")
+        for number, region in enumerate(regions)
+    )
 
 
 def scope_of(context: "Context") -> Scope | None:

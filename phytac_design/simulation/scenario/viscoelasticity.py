@@ -36,22 +36,6 @@ class Relaxation:
     share: FloatArray
     time_s: FloatArray
 
-    def __post_init__(self) -> None:
-        good = bool(np.all(self.share > 0.0) and np.all(self.time_s > 0.0))
-        good &= float(self.share.sum()) < 1.0 and len(set(self.time_s)) == len(self.share)
-        if not good:
-            raise NumericalError(
-                "prony-series-invalid",
-                "a Prony series needs shares above 0 that sum to less than 1, and times above 0 "
-                f"that all differ (got {list(self.share)} and {list(self.time_s)}); correct "
-                "time.relax_share and time.relax_s",
-            )
-
-    def modulus(self, t_s: FloatArray) -> FloatArray:
-        """G(t)/G0 at times after a step (any shape); 1 before any time has passed."""
-        fading = 1.0 - np.exp(-np.asarray(t_s, dtype=np.float64)[..., None] / self.time_s)
-        return np.asarray(1.0 - fading @ self.share)
-
     def creep(self) -> "Creep":
         """Return the creep compliance that belongs to it.
 
@@ -80,11 +64,6 @@ class Creep:
 
     share: FloatArray
     time_s: FloatArray
-
-    def compliance(self, t_s: FloatArray) -> FloatArray:
-        """J(t)·G0 at times after a step (any shape)."""
-        grown = 1.0 - np.exp(-np.asarray(t_s, dtype=np.float64)[..., None] / self.time_s)
-        return np.asarray(1.0 + grown @ self.share)
 
 
 def felt_force(creep: Creep, times_s: FloatArray, force_N: FloatArray) -> FloatArray:

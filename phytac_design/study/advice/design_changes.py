@@ -7,7 +7,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import tolerance_mm
-from phytac_design.optics.loaded_visibility import FUSED_PX, WALL_SETBACK, scene_state
+from phytac_design.optics.loaded_visibility import FUSED_PX, scene_state
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.optics.visibility import FRACTION_MIN
 from phytac_design.rules.check import check_design
@@ -223,10 +223,10 @@ def render_faults(model: LocalModel, design: Design, *, held: bool) -> dict[str,
             continue
         scene = build_scene(sensor, tolerance_mm=tolerance_mm(camera, markers))
         poses = [scene_state(scene, camera).of(own)]
-        rest = scene_state(scene, camera, wall_setback=WALL_SETBACK).of(own)
+        rest = scene_state(scene, camera, wall_follows=True).of(own)
         for press in view.motion.press[order[:3]]:
             moved = scene.moved(press[:, :3], press[:, 3:], markers.mid_mm)
-            poses.append(scene_state(moved, camera, wall_setback=WALL_SETBACK).of(own))
+            poses.append(scene_state(moved, camera, wall_follows=True).of(own))
             stray = max(stray, float(poses[-1].crosstalk_px(rest).max()))
         hidden += max(int(pose.hidden.sum()) for pose in poses)
         fused += max(int(pose.fused.sum()) for pose in poses)

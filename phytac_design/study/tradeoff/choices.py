@@ -136,7 +136,7 @@ def _displacement(design: Design, value: Literal["linear", "auto", "large"]) -> 
 
 def _route(design: Design, value: str, samples: int = 4) -> dict[str, Any]:
     """Shifts of a few presses, given as points or measured in rendered frames."""
-    from phytac_design.datasets.samples_reader import read_samples
+    from phytac_design.datasets.samples_file import read_samples
     from phytac_design.simulation.run.job import Job
     from phytac_design.simulation.scenario.scenario_file import load_scenario, parse_scenario
     from phytac_design.workflows.simulate import simulate

@@ -9,9 +9,11 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import draw_contacts
 from phytac_design.simulation.response_tables import rings
-from phytac_design.simulation.scenario.scene_scope import MARGIN_SPACINGS, Scope, windows_of
+from phytac_design.simulation.scenario.scene_scope import Scope, windows_of
 from tests.designs import changed, small
 from tests.refusals import refused
+
+MARGIN_SPACINGS = 3.0
 
 
 def scope_on(design: Design, *regions: SceneRegionSection) -> Scope:
