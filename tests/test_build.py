@@ -281,24 +281,27 @@ def test_without_lib3mf_only_the_3mf_is_left_out(
 def test_without_graphics_libraries_only_the_step_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A machine without libGL: cadquery cannot be imported."""
+    """A machine without libGL: cadquery cannot be imported, pyrender gets no context."""
     from phytac_design.engine import stage
-    from phytac_design.stages import shell_stage
+    from phytac_design.stages import shell_stage, views_stage
 
     def absent(*_: object, **__: object) -> None:
         raise MissingPartError("missing-library", "no CAD: libGL.so.1 is missing")
 
-    none = {"libGL.so.1": False, "libX11.so.6": False}
+    none = {"libEGL.so.1": False, "libGL.so.1": False, "libX11.so.6": False}
     monkeypatch.setattr(stage, "graphics_libraries", lambda: none)
     monkeypatch.setattr("phytac_design.stages.shell_stage.shell_cad", absent)
     monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.cadquery", absent)
+    monkeypatch.setattr("phytac_design.stages.views_stage.render_picture", absent)
     assert shell_stage.STEP.graphics
+    assert views_stage.VIEWS.graphics
     result = build(small(), tmp_path / "x", accuracy="draft", progress=quiet)
     files = {p.relative_to(result.out).as_posix() for p in result.out.rglob("*") if p.is_file()}
     steps = {name for name in CONTRACT if name.endswith(".step")}
     assert files == (CONTRACT | {"manifest.json"}) - steps
     report = json.loads((result.out / "report" / "report.json").read_text())
     assert "libGL" in report["shell"]["step_left_out"]
+    assert report["camera"]["picture"] == "rasteriser"
 
 
 @pytest.mark.usefixtures("coarse_switches")

@@ -111,7 +111,7 @@ def test_nothing_heavy_is_imported_for_it() -> None:
         "import sys\nfrom phytac_design.design.design_file import load_design\n"
         "from phytac_design.report.notebook import design_html\n"
         "design_html(load_design('cylinder40'))\n"
-        "heavy = {'matplotlib.pyplot', 'cadquery', 'torch', 'IPython'}\n"
+        "heavy = {'matplotlib.pyplot', 'cadquery', 'torch', 'pyrender', 'IPython'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

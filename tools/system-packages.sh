@@ -1,12 +1,12 @@
 #!/bin/sh
-# System packages: what CAD needs, and what the tests check against. Installs them with root or sudo;
-# without either it names what is missing and continues: STEP files are then left out, and tests
-# against other programs are skipped with that reason.
+# System packages: what rendering needs, and what the tests check against. Installs them with root
+# or sudo; without either it names what is missing and goes on: pictures then come from our own
+# renderer, and tests against other programs are skipped with that reason.
 set -u
 python=${PYTHON:-python3}
 venv=""
 "$python" -c "import ensurepip" >/dev/null 2>&1 || venv="$(basename "$python")-venv"
-needed="$venv libgl1 libxrender1 libglu1-mesa libxcursor1 libxinerama1 libxft2"
+needed="$venv libegl1 libgl1 libgl1-mesa-dri libxrender1 libglu1-mesa libxcursor1 libxinerama1 libxft2"
 checkers="calculix-ccx admesh poppler-utils"
 missing=""
 for package in $needed $checkers; do

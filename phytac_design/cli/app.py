@@ -166,8 +166,8 @@ app.command("import")(import_command.import_)
 
 EXTRAS = {
     "design": (
-        "OCP cadquery lib3mf manifold3d matplotlib meshio numba pyarrow pydantic "
-        "scipy tomlkit trimesh yaml"
+        "OCP cadquery lib3mf manifold3d matplotlib meshio numba OpenGL pyarrow pydantic "
+        "pyrender scipy tomlkit trimesh yaml"
     ),
     "solid": "gmsh",
     "train": "onnx",

@@ -173,7 +173,7 @@ def array_hashes(folder: Path) -> dict[str, str]:
 def graphics_libraries() -> dict[str, bool]:
     """Which of the system's graphics libraries can be loaded; installing one reruns stages."""
     found = {}
-    for name in ("libGL.so.1", "libX11.so.6"):
+    for name in ("libEGL.so.1", "libGL.so.1", "libX11.so.6"):
         try:
             ctypes.CDLL(name)
             found[name] = True

@@ -117,7 +117,7 @@ def test_help_imports_nothing_heavy() -> None:
     """``phytac --help`` is fast: libraries are imported when a command needs them."""
     code = (
         "import sys\nimport phytac_design.cli.app\n"
-        "heavy = 'scipy numba cv2 pydantic matplotlib cadquery torch optuna distributed'\n"
+        "heavy = 'scipy numba cv2 pydantic matplotlib cadquery torch pyrender optuna distributed'\n"
         "print(sorted(set(heavy.split()) & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,3 +1,4 @@
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -5,6 +6,7 @@ import pytest
 
 from phytac_decoder.camera.lens import KannalaBrandt
 from phytac_design.optics import frame_renderer as frame_module
+from phytac_design.optics import picture
 from phytac_design.optics.frame_renderer import (
     add_noise,
     render_frame,
@@ -15,11 +17,16 @@ from phytac_design.optics.frame_renderer import (
 )
 from phytac_design.optics.light import albedo, triangle_light
 from phytac_design.optics.paint import BACKGROUND, BAR, PAINTS, to_linear, to_srgb
+from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import BAR as BAR_CODE
 from phytac_design.optics.render_scene import paint_owner
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import MissingPartError
 from tests.optics.cases import Bench
+
+GL_CENTROID_PX = 0.35  # GL averages after the gamma, which shifts edges between light and dark
+GL_MEDIAN_PX = 0.15
 
 
 def hues(image: ImageArray) -> tuple[IntArray, FloatArray]:
@@ -161,3 +168,63 @@ def test_every_triangle_is_lit(few: Bench) -> None:
     light, paint = triangle_light(scene, few.camera), albedo(scene)
     assert np.all(light <= paint + 1e-12)
     assert np.all(light >= 0.39 * paint)
+
+
+@pytest.fixture(scope="module")
+def gl_picture(few: Bench) -> ImageArray:
+    scene = few.scene()
+    try:
+        return render_picture(scene, few.camera)
+    except MissingPartError as error:
+        pytest.skip(str(error))
+
+
+def test_picture_and_frame_agree_on_every_marker(few: Bench, gl_picture: ImageArray) -> None:
+    frame = render_frame(few.scene(), few.camera)
+    owner = paint_owner(rasterise(few.scene(), few.camera).part)
+    y, x = np.indices(owner.shape)
+
+    def centroids(image: ImageArray) -> FloatArray:
+        hue, strength = hues(image)
+        out = []
+        for i, colour in enumerate(few.markers.colour):
+            rows, columns = np.nonzero(owner == i)
+            near = (
+                slice(rows.min() - 4, rows.max() + 5),
+                slice(columns.min() - 4, columns.max() + 5),
+            )
+            w = np.where(hue[near] == colour, strength[near], 0.0)
+            out.append([(w * x[near]).sum() / w.sum(), (w * y[near]).sum() / w.sum()])
+        return np.array(out)
+
+    apart = np.linalg.norm(centroids(frame) - centroids(gl_picture), axis=1)
+    assert np.median(apart) < GL_MEDIAN_PX
+    assert apart.max() < GL_CENTROID_PX
+
+
+def test_picture_and_frame_agree_on_colours(few: Bench, gl_picture: ImageArray) -> None:
+    frame = render_frame(few.scene(), few.camera).astype(float)
+    assert gl_picture.shape == frame.shape
+    apart = np.abs(frame - gl_picture)
+    # Inside the parts: the shader's gamma is 2.2, sRGB's is piecewise; edges are mixtures.
+    assert np.percentile(apart, 90) <= 4.0
+    assert apart.mean() < 3.0
+
+
+def test_missing_gl_names_the_packages(few: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyrender", None)
+    with pytest.raises(MissingPartError, match="apt-get install libegl1 libgl1 libgl1-mesa-dri"):
+        render_picture(few.scene(), few.camera)
+
+
+def test_a_driver_that_gives_no_context_names_the_packages(
+    few: Bench, monkeypatch: pytest.MonkeyPatch, gl_picture: ImageArray
+) -> None:
+    class Broken:
+        def __init__(self, *_size: int) -> None:
+            raise OSError("EGL_NOT_INITIALIZED")
+
+    module = picture._pyrender()
+    monkeypatch.setattr(module, "OffscreenRenderer", Broken)
+    with pytest.raises(MissingPartError, match=r"EGL_NOT_INITIALIZED.*libegl1"):
+        render_picture(few.scene(), few.camera)
