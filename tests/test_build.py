@@ -292,7 +292,7 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
     monkeypatch.setattr(stage, "graphics_libraries", lambda: none)
     monkeypatch.setattr("phytac_design.stages.shell_stage.shell_cad", absent)
     monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.cadquery", absent)
-    monkeypatch.setattr("phytac_design.stages.views_stage.render_picture", absent)
+    monkeypatch.setattr("phytac_design.optics.picture.render_picture", absent)
     assert shell_stage.STEP.graphics
     assert views_stage.VIEWS.graphics
     result = build(small(), tmp_path / "x", accuracy="draft", progress=quiet)

@@ -11,6 +11,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Pinhole
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND
 from phytac_design.optics.render_scene import RenderScene
@@ -19,7 +20,7 @@ from phytac_shapes.errors import MissingPartError
 
 GL_FIX = (
     "install the system libraries (Debian, Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri) "
-    "and the Python extra (pip install 'phytac-design[design]'); frames of optics.frame need none"
+    "and the Python extra (pip install 'phytac-design[design]'); frames of optics.frame_renderer need none"
 )
 
 
@@ -35,8 +36,9 @@ def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
     gl_to_cv = np.diag([1.0, -1.0, -1.0])  # openGL's camera looks along -z with y up
     if not isinstance(camera.lens, Pinhole):
         raise MissingPartError(
+            "lens-not-drawable",
             f"no OpenGL picture: OpenGL draws pinholes only (got a {camera.lens.model} lens); "
-            "frames of optics.frame show any lens"
+            "frames of optics.frame_renderer show any lens",
         )
     pyrender = _pyrender()
     background = [*(np.array(BACKGROUND) / 255.0), 1.0]
@@ -58,14 +60,22 @@ def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
     try:
         renderer = pyrender.OffscreenRenderer(camera.width_px, camera.height_px)
     except Exception as error:  # PyOpenGL raises its own kinds, by driver
-        raise MissingPartError(f"no OpenGL picture: EGL gave no context ({error}); {GL_FIX}") from (
-            error
-        )
+        raise MissingPartError(
+            "graphics-missing", f"no OpenGL picture: EGL gave no context ({error}); {GL_FIX}"
+        ) from error
     try:
         colour, _ = renderer.render(stage)
     finally:
         renderer.delete()
     return np.ascontiguousarray(colour[:, :, ::-1])
+
+
+def picture_or_frame(scene: RenderScene, camera: Camera) -> tuple[ImageArray, str]:
+    """Picture by OpenGL where it works, else the project's own renderer; and which it was."""
+    try:
+        return render_picture(scene, camera), "pyrender"
+    except MissingPartError:
+        return render_frame(scene, camera), "rasteriser"
 
 
 def _pyrender() -> Any:
@@ -74,7 +84,9 @@ def _pyrender() -> Any:
     try:
         import pyrender
     except Exception as error:  # PyOpenGL fails with ImportError, AttributeError, ... by platform
-        raise MissingPartError(f"no OpenGL picture: pyrender failed ({error}); {GL_FIX}") from error
+        raise MissingPartError(
+            "graphics-missing", f"no OpenGL picture: pyrender failed ({error}); {GL_FIX}"
+        ) from error
     return pyrender
 
 

@@ -24,6 +24,7 @@ from phytac_design.optics.render_scene import paint_owner
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import MissingPartError
 from tests.optics.cases import Bench
+from tests.refusals import refused
 
 GL_CENTROID_PX = 0.35  # GL averages after the gamma, which shifts edges between light and dark
 GL_MEDIAN_PX = 0.15
@@ -213,8 +214,9 @@ def test_picture_and_frame_agree_on_colours(few: Bench, gl_picture: ImageArray) 
 
 def test_missing_gl_names_the_packages(few: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyrender", None)
-    with pytest.raises(MissingPartError, match="apt-get install libegl1 libgl1 libgl1-mesa-dri"):
+    with refused("graphics-missing") as caught:
         render_picture(few.scene(), few.camera)
+    assert "apt-get install libegl1 libgl1 libgl1-mesa-dri" in str(caught.value)
 
 
 def test_a_driver_that_gives_no_context_names_the_packages(
@@ -226,5 +228,6 @@ def test_a_driver_that_gives_no_context_names_the_packages(
 
     module = picture._pyrender()
     monkeypatch.setattr(module, "OffscreenRenderer", Broken)
-    with pytest.raises(MissingPartError, match=r"EGL_NOT_INITIALIZED.*libegl1"):
+    with refused("graphics-missing") as caught:
         render_picture(few.scene(), few.camera)
+    assert "EGL_NOT_INITIALIZED" in str(caught.value)

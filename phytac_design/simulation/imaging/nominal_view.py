@@ -115,8 +115,8 @@ class Shot:
     ----------
     camera : Camera
         The camera.
-    rest : RenderScene
-        The sensor with all switches off.
+    rest, on : RenderScene
+        The sensor with all switches off, and on.
     frames : (at rest, all on)
         Noise-free frames.
     seen : Visibility
@@ -127,6 +127,7 @@ class Shot:
 
     camera: Camera
     rest: RenderScene
+    on: RenderScene
     frames: tuple[ImageArray, ImageArray]
     seen: Visibility
     expected: ExpectedView
@@ -159,7 +160,7 @@ def look(
         red_px=owner_centroids(red_owner(rasterise(on, camera).part), markers.count),
     )
     expected = replace(expected, rest_px=np.where(seen.lost[:, None], place, expected.rest_px))
-    return Shot(camera=camera, rest=rest, frames=frames, seen=seen, expected=expected)
+    return Shot(camera=camera, rest=rest, on=on, frames=frames, seen=seen, expected=expected)
 
 
 def view_arrays(sensor: Sensor, shots: Sequence[Shot]) -> tuple[Visibility, dict[str, Any]]:
