@@ -67,7 +67,7 @@ def test_press_reports_the_motion(folder: Path) -> None:
 def test_errors_are_one_line(folder: Path, words: tuple[str, ...], code: int, message: str) -> None:
     out = phytac(*words, cwd=folder)
     assert (out.returncode, len(out.stderr.strip().splitlines())) == (code, 1), out.stderr
-    assert out.stderr.startswith("error:")
+    assert out.stderr.startswith("error[")
     assert message in out.stderr
     assert not (folder / "m").exists()
 

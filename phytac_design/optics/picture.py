@@ -20,7 +20,7 @@ from phytac_shapes.errors import MissingPartError
 
 GL_FIX = (
     "install the system libraries (Debian, Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri) "
-    "and the Python extra (pip install 'phytac-design[design]'); frames of optics.frame_renderer need none"
+    "and the Python extra (pip install 'phytac-design[design]'); render_frame needs none"
 )
 
 
@@ -38,7 +38,7 @@ def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
         raise MissingPartError(
             "lens-not-drawable",
             f"no OpenGL picture: OpenGL draws pinholes only (got a {camera.lens.model} lens); "
-            "frames of optics.frame_renderer show any lens",
+            "render_frame shows any lens",
         )
     pyrender = _pyrender()
     background = [*(np.array(BACKGROUND) / 255.0), 1.0]
