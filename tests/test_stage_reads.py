@@ -71,9 +71,9 @@ def test_reads_depend_on_the_layout() -> None:
     assert not any(name.startswith(("camera", "light", "switch")) for name in plain)
     assert "layout.colours" not in plain
     assert "camera.focal_px" in fields_of(load_design("cylinder60-dense"), ("tubes",))
-    assert "camera.focal_px" not in fields_of(load_design("cylinder60-dense"), ("feet",))
-    assert "switch.footprint_diameter_mm" in fields_of(load_design("hemisphere"), ("feet",))
-    both = fields_of(load_design("cylinder60"), ("feet", "wall", "wall.thickness_mm"))
+    assert "camera.focal_px" not in fields_of(load_design("cylinder60-dense"), ("bases",))
+    assert "switch.footprint_diameter_mm" in fields_of(load_design("hemisphere"), ("bases",))
+    both = fields_of(load_design("cylinder60"), ("bases", "wall", "wall.thickness_mm"))
     assert "wall" in both
     assert "wall.thickness_mm" not in both
 

@@ -37,7 +37,7 @@ class Accuracy:
         Spacing of the tabulated places of the estimator ``auto``, over the patches' mean radius.
     place_orders : int
         Powers of the force in its tables: 1 is linear theory, 2 and 3 Koiter's expansion, 4 and 5
-        large displacements where that does not hold (:data:`twin.pressed.SOLVED_AT`).
+        large displacements where that does not hold (:data:`.pressed_series.LARGE_SOLVED_ABOVE`).
     press_places : int
         Places at which the sensor is pressed to find markers that hide or fuse under load.
     press_tolerance : float

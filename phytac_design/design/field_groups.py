@@ -9,7 +9,7 @@ from typing import Any
 
 from phytac_design.design.spec import Design
 
-RECEPTORS = ("feet", "tubes", "markers")
+RECEPTORS = ("bases", "tubes", "markers")
 PARTS: dict[str, tuple[str, ...]] = {
     "lens": (
         "camera.model",
@@ -87,7 +87,7 @@ PARTS: dict[str, tuple[str, ...]] = {
 def fields_of(design: Design, names: Iterable[str]) -> tuple[str, ...]:
     """Tables and fields that these names stand for in a design, sorted, without repeats.
 
-    ``feet``, ``tubes`` (with heights) and ``markers`` (with colours) are the receptors.
+    ``bases``, ``tubes`` (with heights) and ``markers`` (with colours) are the receptors.
     """
     found: set[str] = set()
     for name in names:
@@ -100,7 +100,7 @@ def fields_of(design: Design, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def receptor_parts(design: Design, name: str) -> tuple[str, ...]:
-    """Parts and fields that a design's ``feet``, ``tubes`` or ``markers`` depend on.
+    """Parts and fields that a design's ``bases``, ``tubes`` or ``markers`` depend on.
 
     Where the layout is scattered, or heights follow lines of sight, they depend on more.
     """

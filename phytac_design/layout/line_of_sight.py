@@ -307,7 +307,7 @@ def clearance_under_load_mm(
 ) -> FloatArray:
     """Least :func:`clearance_mm` (n,) at rest and under each of the motions (p, n, 6).
 
-    Each marker is judged by the camera that is nearest to it at rest.
+    Each marker is evaluated with the camera that is nearest to it at rest.
     """
     nearest = nearest_camera(markers, np.atleast_2d(camera_mm))
     least = clearance_mm(design, markers, camera_mm, nearest=nearest)

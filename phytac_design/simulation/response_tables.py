@@ -1,8 +1,8 @@
 """Tables of what contacts at any place do to the markers' images, by the decoder's own mesh.
 
 Linear theory gives the first power of the force, Koiter's expansion or large displacements
-(:mod:`pressed`) the others; the camera is the true lens, and receptors turn with the wall's inner
-face (:mod:`feet`).
+the others; the camera is the true lens, and receptors turn with the wall's inner
+face.
 """
 
 from collections.abc import Callable
@@ -175,7 +175,7 @@ def tabulate_responses(
     spacing_mm : float
         Between places, at most.
     orders : int
-        Powers of the force: 1 (linear theory) to 5; see :data:`pressed.LARGE_SOLVED_ABOVE`.
+        Powers of the force: 1 (linear theory) to 5; see :data:`.pressed_series.LARGE_SOLVED_ABOVE`.
     near : NearScene, optional
         Which places are wanted; all without it.
     bytes_max : float

@@ -27,7 +27,7 @@ def run(context: Context, folder: Path) -> None:
 
 MESH = Stage(
     name="mesh",
-    design_fields=("name", "feet", "material", "training.patch_radius_max_mm"),
+    design_fields=("name", "bases", "material", "training.patch_radius_max_mm"),
     settings=("refine",),
     run=run,
 )

@@ -282,9 +282,9 @@ def curved_points(
 ) -> tuple[FloatArray, FloatArray]:
     """Points and unit normals, (E, q, 3), of the curved face through element corners.
 
-    Each bilinear point is moved halfway to the mean of its feet on the corners' tangent planes
-    (Phong tessellation, Boubekeur and Alexa 2008, with α = 1/2): exact for faces of second order,
-    and free of any chart.
+    Each bilinear point is moved halfway to the mean of its projections onto the corners'
+    tangent planes (Phong tessellation, Boubekeur and Alexa 2008, with α = 1/2): exact for faces of
+    second order, and free of any chart.
 
     Parameters
     ----------

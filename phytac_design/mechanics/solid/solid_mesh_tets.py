@@ -44,7 +44,7 @@ class SolidMeshSettings:
     base_nodes: float = 76.0
     tube_nodes: float = 10.0
     receptor_nodes: float = 433.0
-    """Nodes per squared size of wall, of feet (a diameter squared each), of tubes' faces, and per
+    """Nodes per squared size of wall, of bases (a diameter squared each), of tubes' faces, and per
     receptor: within 10 % of seven meshes of 30 000 to 370 000 nodes."""
 
 
@@ -87,7 +87,7 @@ def default_sizes(design: Design) -> SolidSizes:
     """Wall 2 t, contact t, foot and tube by the smaller of t and the tube's own wall.
 
     One layer of quadratic tetrahedra through the wall. Measured under a fingertip: a plain wall at
-    1.5 t moves 1.5 % less than at 0.65 t; a sensor with receptors, meshed finely at their feet,
+    1.5 t moves 1.5 % less than at 0.65 t; a sensor with receptors, meshed finely at their bases,
     0.4 % less than at three quarters of its sizes. Scale them down for a reference.
     """
     thickness, receptor = design.wall.thickness_mm, design.receptor
@@ -241,7 +241,7 @@ def _size_fields(
     *,
     receptors: bool,
 ) -> int:
-    """Least of: the wall's size, balls under contacts, tubes, and growth away from their feet."""
+    """Least of: the wall's size, balls under contacts, tubes, and growth away from their bases."""
     field = gmsh.model.mesh.field
     tags = [field.add("MathEval")]
     field.setString(tags[0], "F", repr(sizes.wall_mm))
@@ -253,9 +253,9 @@ def _size_fields(
         for name, number in zip(names, numbers, strict=True):
             field.setNumber(tags[-1], name, number)
     if receptors:
-        feet, tubes = tube_parts(gmsh, surface, design)
+        bases, tubes = tube_parts(gmsh, surface, design)
         near = field.add("Distance")
-        field.setNumbers(near, "CurvesList", feet)
+        field.setNumbers(near, "CurvesList", bases)
         field.setNumber(near, "Sampling", 24)
         reach = SETTINGS.base_reach_radii * design.receptor.diameter_outer_mm / 2.0
         tags.append(field.add("Threshold"))
@@ -286,7 +286,7 @@ def tube_parts(gmsh: Any, surface: Surface, design: Design) -> tuple[list[int], 
         for dim in (1, 2)
     }
     widest = 1.5 * design.receptor.diameter_outer_mm
-    feet = [tag for tag, box in boxes[1] if np.ptp(box.reshape(2, 3), axis=0).max() < widest]
+    bases = [tag for tag, box in boxes[1] if np.ptp(box.reshape(2, 3), axis=0).max() < widest]
     depth = []
     for tag, _ in boxes[2]:
         low, high = gmsh.model.getParametrizationBounds(2, tag)
@@ -295,7 +295,7 @@ def tube_parts(gmsh: Any, surface: Surface, design: Design) -> tuple[list[int], 
         foot = surface.chart(point)
         depth.append(-np.sum((point - surface.point(foot)) * surface.normal(foot)))
     limit = (1.0 + 1e-3) * design.wall.thickness_mm
-    return feet, [tag for (tag, _), d in zip(boxes[2], depth, strict=True) if d > limit]
+    return bases, [tag for (tag, _), d in zip(boxes[2], depth, strict=True) if d > limit]
 
 
 def with_sets(raw: Tetrahedra, sensor: Sensor, *, receptors: bool) -> SolidMesh:

@@ -214,7 +214,7 @@ class LocalModel:
         """Wall motion of a design: reused, scaled by the modulus, or solved."""
         base, design = self.base.design, sensor.design
         # That short receptors stiffen the wall less is neglected.
-        before, after = (values_of(one, ("feet", "stiffness")) for one in (base, design))
+        before, after = (values_of(one, ("bases", "stiffness")) for one in (base, design))
         changed = {name for name in before | after if before.get(name) != after.get(name)}
         if base.material.poisson == design.material.poisson:
             changed -= {"material"}

@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from phytac_shapes.errors import DesignError
 
 LEVELS = ("rules", "sampled", "exact", "switch", "mechanics", "load", "twin")
-"""Fidelity levels from cheap to expensive; :mod:`.rungs` computes them."""
+"""Fidelity levels from cheap to expensive; :mod:`.fidelity_levels` computes them."""
 
 
 @dataclass(frozen=True)
