@@ -174,12 +174,17 @@ PROMISES: dict[str, tuple[tuple[str, Callable[[Environment, Path], str]], ...]] 
 }
 
 
+def version_of(python: str) -> str:
+    """Version of an interpreter, as in 3.11."""
+    words = [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
+    return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+
+
 def measure(
     table: Table, python: str, extra: str, wheel: Path, built: Path, given: argparse.Namespace
 ) -> None:
     """Rows of one extra on one Python."""
-    words = [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
-    version = subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+    version = version_of(python)
     bounds = ", lowest versions" if given.lowest else ""
     name = f"Python {version}, [{extra}]{bounds}" if extra else f"Python {version}, bare{bounds}"
     with tempfile.TemporaryDirectory() as folder:
@@ -213,7 +218,7 @@ def main() -> None:
             subprocess.run([sys.executable, *words, "--out", str(built)], check=True)
         for python in given.pythons.split(","):
             for extra in given.extras.split(","):
-                label = f"{Path(python).name} [{extra}]" + (" lowest" if given.lowest else "")
+                label = f"{version_of(python)} [{extra}]" + (" lowest" if given.lowest else "")
                 table = Table("install", part=label)
                 measure(table, python, extra, wheel, built.resolve(), given)
                 if not given.dry:
