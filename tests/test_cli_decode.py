@@ -234,7 +234,7 @@ def test_a_video_is_read(toy: Path, tmp_path: Path) -> None:
     messages = [json.loads(line) for line in reported.splitlines()]
     assert [m["timestamp_s"] for m in messages] == pytest.approx([0.0, 0.05, 0.1, 0.15], abs=1e-3)
     assert [m["koi"] for m in messages] == [[], [14], [14, 15, 29], [7]]
-    assert [m["total_N"] for m in messages] == pytest.approx([0, 3, 6.5, 2], abs=0.5)
+    assert [m["total_N"] for m in messages] == pytest.approx([0, 3, 6.5, 2], abs=0.6)
 
 
 def test_the_recordings_own_beginning_is_its_rest(toy: Path, tmp_path: Path) -> None:
@@ -244,10 +244,10 @@ def test_the_recordings_own_beginning_is_its_rest(toy: Path, tmp_path: Path) -> 
     presses: list[Mapping[int, float]] = [{}, {}, {14: 3.0}]
     for number, pressed in enumerate(presses):
         cv2.imwrite(str(frames / f"{number}.png"), np.roll(toy_frame(pressed), 3, axis=1))
-    _, besides = run(toy / "decoder", frames)
-    assert besides.count("the camera has moved") == 1
+    with refused("no-frames-decoded"):
+        run(toy / "decoder", frames)
     reported, besides = run(toy / "decoder", frames, "--rest-first", "2", "--json")
-    assert "the camera has moved" not in besides
+    assert "new rest frame" not in besides
     totals = [json.loads(line)["total_N"] for line in reported.splitlines()]
     assert totals == pytest.approx([0.0, 0.0, 3.0], abs=0.15)
     same, _ = run(toy / "decoder", frames, "--rest", frames / "0.png", "--json")

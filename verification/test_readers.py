@@ -58,6 +58,7 @@ def bundle() -> Bundle:
         colours=ColourModel.from_rgb({"blue": (28, 72, 214), "red": (214, 30, 34)}),
         colour=np.zeros(COUNT, dtype=np.int64),
         position_mm=rng.normal(size=(COUNT, 3)),
+        head_mm=rng.normal(size=(COUNT, 3)),
         rest_px=rng.normal(size=(COUNT, 2)),
         tip_bias_px=np.zeros((COUNT, 2)),
         tips=TipModel(

@@ -17,6 +17,7 @@ from phytac_design.cli.serve_command import (
     BundleArgument,
     DesignOption,
     FollowOption,
+    MountOption,
     RecordRegionsOption,
     RegionsOption,
     RestFirstOption,
@@ -32,6 +33,7 @@ from phytac_design.cli.serve_command import (
 from phytac_shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
+    from phytac_decoder.camera.camera_motion import Mount
     from phytac_decoder.serving.sensor_loop import Progress
     from phytac_decoder.serving.wire_protocol import Message
 
@@ -44,6 +46,7 @@ def decode(
     frame: SourceArgument,
     rest: RestOption = None,
     rest_first: RestFirstOption = 0,
+    mount: MountOption = "bench",
     estimator: Annotated[
         Estimator | None, typer.Option(help="Force estimator; the decoder's best if not given.")
     ] = None,
@@ -65,11 +68,19 @@ def decode(
     options = {"--csv": csv, "--parquet": parquet, "--record-regions": record_regions}
     files = {option: path for option, path in options.items() if path is not None}
     if not (files or rest_first or follow or fps) and all(map(is_image, frame)):
-        _decode_frame(bundle, frame, rest or [], estimator, regions, design, as_json=as_json)
+        _decode_frame(bundle, frame, rest or [], estimator, regions, design, mount, as_json=as_json)
         return
     _check_files(files)
     session = open_session(
-        bundle, frame, estimator, rest, rest_first, follow=follow, regions=regions, design=design
+        bundle,
+        frame,
+        estimator,
+        rest,
+        rest_first,
+        follow=follow,
+        regions=regions,
+        design=design,
+        mount=mount,
     )
     _decode_recording(session, frame, fps, files, as_json=as_json)
 
@@ -89,6 +100,7 @@ def _decode_frame(
     estimator: str | None,
     regions_file: Path | None,
     design: str | None,
+    mount: "Mount",
     *,
     as_json: bool,
 ) -> None:
@@ -101,7 +113,7 @@ def _decode_frame(
     from phytac_decoder.pipeline.frame_reading import marker_loads, read
     from phytac_decoder.serving.sensor_loop import check_estimator
 
-    bundle = load_bundle(folder)
+    bundle = load_bundle(folder, mount=mount)
     chosen = estimator or bundle.model.best
     check_estimator(bundle, chosen)
     regions = named_regions(regions_file, bundle, folder, design)
@@ -110,6 +122,8 @@ def _decode_frame(
         bundle = calibrate_rest(bundle, rest_images(bundle, rest, [], 0))
     measured = measure_frame(bundle, images)
     reading = read(bundle, measured, chosen)
+    if not reading.valid:
+        raise InputError(reading.code, reading.warnings[0])
     koi, forces = reading.koi, reading.forces_N
     contacts = reading.found.contacts if reading.found else []
     markers, force_N = marker_loads(reading, koi, bundle.position_mm)

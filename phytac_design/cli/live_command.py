@@ -14,6 +14,7 @@ from phytac_design.cli.serve_command import (
     FollowOption,
     FpsOption,
     LoopOption,
+    MountOption,
     RecordOption,
     RegionsOption,
     RestFirstOption,
@@ -35,6 +36,7 @@ def live(
     estimator: EstimatorOption = None,
     rest: RestOption = None,
     rest_first: RestFirstOption = 0,
+    mount: MountOption = "bench",
     follow: FollowOption = False,
     regions: RegionsOption = None,
     design: DesignOption = None,
@@ -47,7 +49,15 @@ def live(
     from phytac_decoder.serving.sensor_loop import Stream
 
     session = open_session(
-        bundle, source, estimator, rest, rest_first, follow=follow, regions=regions, design=design
+        bundle,
+        source,
+        estimator,
+        rest,
+        rest_first,
+        follow=follow,
+        regions=regions,
+        design=design,
+        mount=mount,
     )
     stopped = False
     with contextlib.ExitStack() as stack:

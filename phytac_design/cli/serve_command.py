@@ -12,6 +12,7 @@ from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
+    from phytac_decoder.camera.camera_motion import Mount
     from phytac_decoder.estimation.force_regions import Region
     from phytac_decoder.io.bundle import Bundle
     from phytac_decoder.io.frame import Source
@@ -41,6 +42,13 @@ EstimatorOption = Annotated[
 RestOption = Annotated[
     list[Path] | None,
     typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
+]
+MountOption = Annotated[
+    Literal["rigid", "bench", "handheld"],
+    typer.Option(
+        help="How firmly the camera is held against the shell; its motion since the rest frame is "
+        "estimated within that."
+    ),
 ]
 RestFirstOption = Annotated[
     int,
@@ -92,6 +100,7 @@ def serve(
     estimator: EstimatorOption = None,
     rest: RestOption = None,
     rest_first: RestFirstOption = 0,
+    mount: MountOption = "bench",
     follow: FollowOption = False,
     serial: Annotated[
         Path | None, typer.Option(help="Serial port to send JSON lines to as well.")
@@ -119,7 +128,15 @@ def serve(
     from phytac_decoder.serving.sensor_loop import Progress, Stream
 
     session = open_session(
-        bundle, source, estimator, rest, rest_first, follow=follow, regions=regions, design=design
+        bundle,
+        source,
+        estimator,
+        rest,
+        rest_first,
+        follow=follow,
+        regions=regions,
+        design=design,
+        mount=mount,
     )
     loaded = session.bundle
     with contextlib.ExitStack() as stack:
@@ -243,6 +260,7 @@ def open_session(
     follow: bool,
     regions: Path | None,
     design: str | None,
+    mount: "Mount" = "bench",
 ) -> Session:
     """Load a decoder and set it up as the options say; from now on SIGTERM stops as Ctrl-C does.
 
@@ -258,7 +276,7 @@ def open_session(
     from phytac_decoder.serving.sensor_loop import follow_decoder, frame_decoder
     from phytac_decoder.serving.torn_frames import with_torn_frame_check
 
-    bundle = load_bundle(folder)
+    bundle = load_bundle(folder, mount=mount)
     named = named_regions(regions, bundle, folder, design)
     cameras = len(bundle.cameras)
     if len(source) != cameras:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from phytac_decoder.camera.camera_motion import MOUNTS, camera_motion
 from phytac_decoder.estimation.cascade_network import Activation
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.locator import ContactLocator
@@ -30,7 +31,13 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 
 def untrained_model(context: Context) -> ForceModel:
     """Return the force model of the stages ``response`` and (if it ran) ``places`` alone."""
-    response = context.arrays("response")
+    response, readers = context.arrays("response"), readers_of(context)
+    motion = camera_motion(
+        readers.cameras,
+        readers.read_by,
+        context.markers.tip_mm,
+        MOUNTS["bench"],
+    )
     return ForceModel(
         shift_to_mm=response["shift_to_mm"],
         stiffness=response["stiffness"],
@@ -39,7 +46,7 @@ def untrained_model(context: Context) -> ForceModel:
         neighbours=context.markers.neighbours,
         networks={},
         locator=_locator(context) if "places" in context.folders else None,
-    )
+    ).watched_by(motion, context.design.camera.noise_centroid_px)
 
 
 def _locator(context: Context) -> ContactLocator:
@@ -88,6 +95,7 @@ def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) 
         colours=colours,
         colour=classes[context.markers.colour],
         position_mm=context.surface.point(context.markers.uv),
+        head_mm=context.markers.tip_mm,
         rest_px=views["rest_px"],
         tip_bias_px=views["tip_bias_px"],
         tips=_tips(context, "tip_", played),

@@ -45,14 +45,16 @@ def neighbours() -> np.ndarray:
 
 def make_bundle(rest: FloatArray = REST) -> Bundle:
     red = np.pi * TIP_RADIUS**2
+    camera = Camera.on_axis(width_px=WIDTH, height_px=HEIGHT, focal_px=200, stand_off_mm=30)
     return Bundle(
         design="drawn",
         design_hash="",
-        cameras=(Camera.on_axis(width_px=WIDTH, height_px=HEIGHT, focal_px=200, stand_off_mm=30),),
+        cameras=(camera,),
         read_by=np.zeros(COUNT, dtype=np.int64),
         colours=MODEL,
         colour=COLOUR,
         position_mm=np.zeros((COUNT, 3)),
+        head_mm=camera.position_mm + 40.0 * camera.rays(rest),
         rest_px=rest,
         tip_bias_px=np.tile([0.3, -0.2], (COUNT, 1)),
         tips=TipModel(
@@ -67,7 +69,7 @@ def make_bundle(rest: FloatArray = REST) -> Bundle:
             networks={},
         ),
         threshold_N=np.full(COUNT, 0.5),
-    )
+    ).watched()
 
 
 def disc(image: FloatArray, centre: FloatArray, radius: float, colour: FloatArray) -> None:
@@ -263,7 +265,7 @@ def test_a_moved_camera_is_found_again_by_a_full_search() -> None:
     seen = follower.follow(draw(moved))
     assert seen.flags == ("the whole frame was searched",)
     assert rms(seen.position_px - moved) < 0.05
-    assert "the camera has moved" in " ".join(seen.warnings(make_bundle(), np.zeros(COUNT)))
+    assert "take a new rest frame" in " ".join(seen.warnings(make_bundle(), np.zeros(COUNT)))
     assert follower.follow(draw(moved, seed=2)).flags == ()
 
 

@@ -175,6 +175,7 @@ def make_bundle() -> Bundle:
         colours=ColourModel.from_rgb({"blue": (28, 72, 214), "red": (214, 30, 34)}),
         colour=np.zeros(N, dtype=np.int64),
         position_mm=rng.normal(size=(N, 3)),
+        head_mm=rng.normal(size=(N, 3)),
         rest_px=rng.normal(size=(N, 2)),
         tip_bias_px=np.zeros((N, 2)),
         tips=TipModel(on_px=rng.normal(size=(N, 2)), red_rest_px=np.zeros(N), red_on_px=np.ones(N)),

@@ -12,7 +12,6 @@ from phytac_decoder.estimation.contact_fit import (
     ContactFit,
     ContactPrior,
     ShiftObservation,
-    fit_without_contacts,
     initial_state,
 )
 from phytac_decoder.estimation.contact_shifts import ContactState, centre_of, predicted_shifts
@@ -241,9 +240,7 @@ def test_a_contact_found_only_with_a_tentative_one_is_tentative_too(
         found=np.ones(2 * len(MARKERS), dtype=np.bool_),
         koi=np.array([44]),
     )
-    begun = replace(
-        fit_without_contacts(seen, locator.noise), states=[state], cost=1000.0, reduced_chi2=2.0
-    )
+    begun = replace(locator._fit([], seen), states=[state], cost=1000.0, reduced_chi2=2.0)
     monkeypatch.setattr(ContactLocator, "_unswitched_start", lambda *_: state.copy())
     for falls, wanted in (
         ((50.0, 45.0, 5.0), [False, False, False]),

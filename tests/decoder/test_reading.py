@@ -157,7 +157,9 @@ def test_a_frame_is_fitted_once(
         sum(contact.force_N for contact in got.found.contacts if len(contact.markers))
     )
     assert measured.forces_N(bundle, "auto") == pytest.approx(got.forces_N)
-    assert got.warnings == measured.warnings(bundle, got.forces_N, estimator="auto")
+    assert got.warnings == measured.warnings(
+        bundle, got.forces_N, estimator="auto", found=got.found
+    )
 
 
 def test_forces_on_unreadable_switches_are_sent(
@@ -170,6 +172,8 @@ def test_forces_on_unreadable_switches_are_sent(
         contacts=[contact], reduced_chi2=1.0, shift_px=np.zeros(2 * len(measured.found))
     )
     monkeypatch.setattr(ForceModel, "contacts", lambda *_, **__: found)
+    # The contact is made up, so that the frame's own motion contradicts it.
+    monkeypatch.setattr(reading_module, "implausible", lambda *_: [])
     got = reading_module.read(bundle, measured, "auto")
     assert unread in got.koi
     sent = MessageBuilder(bundle=bundle, estimator="auto").frame(got, sequence=0, timestamp_s=0.0)

@@ -34,6 +34,7 @@ def toy_bundle() -> Bundle:
         colours=MODEL,
         colour=colour,
         position_mm=np.column_stack([10.0 * column, 10.0 * row, np.zeros(count)]),
+        head_mm=camera.position_mm + 40.0 * camera.rays(rest),
         rest_px=rest,
         tip_bias_px=np.zeros((count, 2)),
         tips=TipModel(

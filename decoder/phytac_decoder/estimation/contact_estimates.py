@@ -1,6 +1,6 @@
 """Results of the estimator ``auto`` for one frame."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -78,7 +78,10 @@ class ContactDetection:
     reduced_chi2 : float
         Weighted sum of squared residuals per degree of freedom: 1 where noise is as expected.
     shift_px : (2n,) float
-        Predicted shifts of all contacts, tentative ones included.
+        Predicted shifts: of all contacts, tentative ones included, and by motion of the cameras.
+    motion, motion_sd : (q,) float
+        Motion of the cameras since the rest frame and its standard deviations, see
+        :class:`phytac_decoder.camera.camera_motion.CameraMotion`; empty if it is not estimated.
     state : FitState, optional
         Warm start of the next frame.
     """
@@ -86,6 +89,8 @@ class ContactDetection:
     contacts: list[LocatedContact]
     reduced_chi2: float
     shift_px: FloatArray
+    motion: FloatArray = field(default_factory=lambda: np.zeros(0))
+    motion_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
     state: FitState | None = None
 
     def receptor_forces_N(self, count: int) -> FloatArray:

@@ -6,10 +6,11 @@ under a distribution with power-law tails (Huber 1981, ch. 7): iteratively rewei
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from phytac_decoder.camera.camera_motion import CameraMotion
 from phytac_decoder.estimation.contact_shifts import UNKNOWNS, ContactState, predicted_shifts
 from phytac_decoder.mechanics.interaction_table import InteractionCache
 from phytac_decoder.mechanics.response_table import ResponseTable
@@ -124,6 +125,9 @@ class ContactFit:
         Robust sum of squared residuals and of deviations from the prior.
     reduced_chi2 : float
         The first part per degree of freedom: 1 where noise is as expected.
+    motion, motion_sd : (q,) float
+        Motion of the cameras since the rest frame, and its standard deviations; part of the
+        predicted shifts. See :class:`phytac_decoder.camera.camera_motion.CameraMotion`.
     """
 
     states: list[ContactState]
@@ -132,6 +136,8 @@ class ContactFit:
     covariance: FloatArray
     cost: float
     reduced_chi2: float
+    motion: FloatArray = field(default_factory=lambda: np.zeros(0))
+    motion_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 def contact_signal_px(state: ContactState) -> float:
@@ -171,31 +177,46 @@ def fit_contacts(
     *,
     prior: ContactPrior,
     noise: ShiftNoise,
+    camera: CameraMotion | None = None,
+    motion: FloatArray | None = None,
     unweighted: int = SETTINGS.unweighted_iterations,
     iterations: int = SETTINGS.iterations_max,
 ) -> ContactFit:
-    """Move contacts to where they are most likely; changes ``states``.
+    """Move contacts, of which there may be none, to where they are most likely; changes ``states``.
 
     All markers count fully in the first ``unweighted`` iterations. A warm start from the frame
     before needs none.
+
+    Parameters
+    ----------
+    camera : CameraMotion, optional
+        Shifts by motion of the cameras, which is estimated with the contacts.
+    motion : (q,) float, optional
+        Its first estimate; none if not given.
     """
-    sd = [
-        [SETTINGS.force_sd_N, state.place_sd_mm, state.place_sd_mm, *prior.moments_sd_mm2]
-        for state in states
-    ]
-    weight = np.ravel(sd) ** -2.0
+    b = np.zeros(camera.count if camera else 0) if motion is None else motion.copy()
+    split = UNKNOWNS * len(states)
+    weight = np.zeros(split + len(b))
+    weight[:split] = _prior_sd(states, prior).ravel() ** -2.0
+    if camera:
+        weight[split:] = camera.sd**-2.0
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
     cache = InteractionCache(pairs=places.pairs) if places.pairs else None
     change, robust = np.inf, False
     for number in range(iterations + 1):
         parts = predicted_shifts(places, states, cache)
-        total = np.sum([part[0] for part in parts], axis=0)
-        slope = np.concatenate([part[1] for part in parts])
-        variance = noise.each_px**2 + (noise.share * total) ** 2
+        pressed = np.sum([part[0] for part in parts], axis=0) + np.zeros(len(seen.shift_px))
+        slopes = [part[1] for part in parts]
+        total = pressed
+        if camera:
+            total = pressed + camera.shift_px(b)
+            slopes.append(camera.first)
+        slope = np.concatenate(slopes) if slopes else np.zeros((0, len(total)))
+        variance = noise.each_px**2 + (noise.share * pressed) ** 2
         variance[switched] += noise.switched_px**2
         inverse = np.where(seen.found, 1.0 / variance, 0.0)
         residual = seen.shift_px - total
-        off = _prior_residual(places, states, prior)
+        off = np.concatenate([_prior_residual(places, states, prior), b])
         square, settled = float(residual @ (inverse * residual)), False
         if robust or number >= unweighted or change < SETTINGS.step_tolerance:
             square, share = robust_cost(residual, inverse)
@@ -204,30 +225,31 @@ def fit_contacts(
             robust = True
         hessian = (slope * inverse) @ slope.T + np.diag(weight)
         # Ends where everything that is returned has been computed.
-        if settled or number == iterations:
+        if settled or number == iterations or not len(weight):
             break
         step = np.linalg.solve(hessian, slope @ (inverse * residual) - weight * off)
-        change = _take_step(places, states, step)
+        b += step[split:]
+        change = _take_step(places, states, step[:split])
+    covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
     return ContactFit(
         states=states,
         predicted_px=total,
         inverse=inverse,
-        covariance=np.linalg.inv(hessian),
+        covariance=covariance[:split, :split],
         cost=square + float(off @ (weight * off)),
-        reduced_chi2=square / max(int(seen.found.sum()) - len(weight), 1),
+        reduced_chi2=square / max(int(seen.found.sum()) - split, 1),
+        motion=b,
+        motion_sd=np.sqrt(covariance.diagonal()[split:]),
     )
 
 
-def fit_without_contacts(seen: ShiftObservation, noise: ShiftNoise) -> ContactFit:
-    """Return the fit of no contact."""
-    inverse = np.where(seen.found, 1.0 / np.square(noise.each_px), 0.0)
-    return ContactFit(
-        states=[],
-        predicted_px=np.zeros(len(seen.shift_px)),
-        inverse=inverse,
-        covariance=np.zeros((0, 0)),
-        cost=robust_cost(seen.shift_px, inverse)[0],
-        reduced_chi2=float(inverse @ seen.shift_px**2) / max(int(seen.found.sum()), 1),
+def _prior_sd(states: Sequence[ContactState], prior: ContactPrior) -> FloatArray:
+    """Return the standard deviations (c, 6) of contacts' unknowns."""
+    return np.array(
+        [
+            [SETTINGS.force_sd_N, state.place_sd_mm, state.place_sd_mm, *prior.moments_sd_mm2]
+            for state in states
+        ]
     )
 
 
@@ -254,6 +276,8 @@ def _prior_residual(
     places: ResponseTable, states: Sequence[ContactState], prior: ContactPrior
 ) -> FloatArray:
     """Return the deviation of contacts from their priors, (6c,)."""
+    if not states:
+        return np.zeros(0)
     x = np.array([state.x for state in states])
     starts = np.array([state.start_mm for state in states])
     own = [state.place for state in states]
@@ -265,6 +289,8 @@ def _prior_residual(
 
 def _take_step(places: ResponseTable, states: Sequence[ContactState], step: FloatArray) -> float:
     """Take a bounded step; return its size, see ``step_tolerance``."""
+    if not states:
+        return 0.0
     longest = np.repeat([np.inf, SETTINGS.step_mm, SETTINGS.step_mm2], (1, 2, 3))
     old = np.array([state.x for state in states])
     new = old + np.clip(step.reshape(-1, UNKNOWNS), -longest, longest)

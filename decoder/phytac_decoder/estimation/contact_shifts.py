@@ -72,7 +72,7 @@ def predicted_shifts(
             own = np.flatnonzero(wall == wall[k]).tolist()
             out |= dict(zip(own, _on_wall(places, [states[i] for i in own]), strict=True))
     parts = [out[k] for k in range(len(states))]
-    if places.pairs is None or len(states) == 1:
+    if places.pairs is None or len(states) <= 1:
         return parts
     cache = cache or InteractionCache(pairs=places.pairs)
     points = np.stack([centre_of(places, state) for state in states])

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from phytac_decoder.camera.camera_motion import CameraMotion
 from phytac_decoder.estimation.cascade_network import CascadeNetwork, network_features
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.estimation.locator import ContactLocator
@@ -37,6 +38,10 @@ class ForceModel:
         Trained networks by estimator name.
     locator : ContactLocator, optional
         Finds contacts, for the estimator ``auto``.
+    camera : CameraMotion, optional
+        Shifts by motion of the cameras since the rest frame, which is estimated in every frame.
+    noise_px : float
+        Standard deviation of a coordinate of a shift, against which that motion is weighed.
     """
 
     shift_to_mm: FloatArray
@@ -46,6 +51,8 @@ class ForceModel:
     neighbours: IntArray
     networks: dict[str, CascadeNetwork]
     locator: ContactLocator | None = None
+    camera: CameraMotion | None = None
+    noise_px: float = 0.06
 
     @property
     def estimators(self) -> tuple[str, ...]:
@@ -54,6 +61,13 @@ class ForceModel:
         if self.locator is not None:
             ready.add("auto")
         return tuple(name for name in ESTIMATORS if name in ready)
+
+    def watched_by(self, camera: CameraMotion, noise_centroid_px: float) -> "ForceModel":
+        """Return the same with motion of the cameras as unknowns of its estimators."""
+        locator = self.locator and replace(self.locator, camera=camera)
+        # A shift is the difference of two centroids.
+        noise_px = 1.4 * noise_centroid_px
+        return replace(self, locator=locator, camera=camera, noise_px=noise_px)
 
     @property
     def linear(self) -> "ForceModel":
@@ -135,7 +149,8 @@ class ForceModel:
         if estimator == "koi_inverse":
             out[koi] = self._inverse(shift_px, koi)
             return out
-        u = self.apparent_mm(np.nan_to_num(shift_px))
+        pressed_px = self.without_motion(shift_px, self.motion(shift_px, koi))
+        u = self.apparent_mm(np.nan_to_num(pressed_px))
         force = self.stiffness[koi] @ u
         if estimator != "fem":
             features = network_features(u, self.neighbours, self.height_z_mm, koi)
@@ -149,11 +164,33 @@ class ForceModel:
         rows = np.ascontiguousarray(self.compliance_px.T)
         return rows, rows @ rows.T
 
+    def motion(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
+        """Return the motion (q,) of the cameras since the rest frame, by the linear tables."""
+        if self.camera is None:
+            return np.zeros(0)
+        d = shift_px.reshape(-1)
+        pressed = self._inverse(shift_px, koi) @ self.patterns[0][koi]
+        camera = self.camera.where(np.isfinite(d))
+        return camera.estimate(np.nan_to_num(d - pressed), self.noise_px)
+
+    def without_motion(self, shift_px: FloatArray, motion: FloatArray) -> FloatArray:
+        """Return shifts (n, 2) px less those by a motion (q,) of the cameras."""
+        if self.camera is None or not len(motion):
+            return shift_px
+        return np.asarray(shift_px - self.camera.shift_px(motion).reshape(-1, 2))
+
     def _inverse(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
-        """Return the least-squares solution of d = C(:, KOI)·f over all found markers, f >= 0."""
+        """Return the least-squares solution of d = C(:, KOI)·f over all found markers, f >= 0.
+
+        Motion of the cameras is left free, within its prior.
+        """
         d = shift_px.reshape(-1)
         rows, products = self.patterns
-        if np.isfinite(d).all():
+        found = np.isfinite(d)
+        if self.camera is None and found.all():
             return nonnegative_least_squares(products[np.ix_(koi, koi)], rows[koi] @ d)
-        c = rows[koi] * np.isfinite(d)
-        return nonnegative_least_squares(c @ c.T, c @ np.nan_to_num(d))
+        c = rows[koi] * found
+        free = c
+        if self.camera is not None:
+            free = self.camera.where(found).orthogonal(c, self.noise_px)
+        return nonnegative_least_squares(free @ c.T, free @ np.nan_to_num(d))

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from phytac_decoder.camera.camera_motion import CameraMotion
 from phytac_decoder.estimation import contact_fit
 from phytac_decoder.estimation.contact_estimates import ContactDetection, FitState, LocatedContact
 from phytac_decoder.estimation.contact_fit import (
@@ -24,7 +25,6 @@ from phytac_decoder.estimation.contact_fit import (
     ShiftObservation,
     contact_signal_px,
     fit_contacts,
-    fit_without_contacts,
     initial_state,
 )
 from phytac_decoder.estimation.contact_grouping import assign_to_contacts, group_key_nodes
@@ -98,6 +98,8 @@ class ContactLocator:
         Correction that was fitted to the sensor's own data.
     blind : (b,) int
         Switches that the camera cannot read.
+    camera : CameraMotion, optional
+        Shifts by motion of the cameras since the rest frame.
     """
 
     places: ResponseTable
@@ -109,6 +111,7 @@ class ContactLocator:
     noise: ShiftNoise
     correction: ForceCorrection | None = None
     blind: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    camera: CameraMotion | None = None
 
     @property
     def linear(self) -> "ContactLocator":
@@ -149,7 +152,7 @@ class ContactLocator:
         seen = ShiftObservation(shift_px=np.where(found, d, 0.0), found=found, koi=koi)
         state = self._warm_start(before.state, seen) if before and before.state else None
         if state is None:
-            best = self._fit_switched(seen) if len(koi) else fit_without_contacts(seen, self.noise)
+            best = self._fit_switched(seen) if len(koi) else self._fit([], seen)
             if len(koi) or len(self.blind):
                 best = self._add_unswitched(best, seen)
             state = FitState(fit=best, reduced_chi2=best.reduced_chi2)
@@ -164,7 +167,7 @@ class ContactLocator:
         restarted = self._restarted(states, seen)
         if restarted is None:
             return None
-        best = self._fit(restarted, seen, warm=True)
+        best = self._fit(restarted, seen, before=state.fit)
         # With fitted noise a value below 1 is as good as 1.
         good = 1.0 if self.noise.ratio is not None else 0.0
         if best.reduced_chi2 > SETTINGS.chi2_growth_max * max(state.reduced_chi2, good):
@@ -252,8 +255,13 @@ class ContactLocator:
         return best
 
     def _fit(
-        self, states: list[ContactState], seen: ShiftObservation, *, warm: bool = False
+        self,
+        states: list[ContactState],
+        seen: ShiftObservation,
+        *,
+        before: ContactFit | None = None,
     ) -> ContactFit:
+        """Fit contacts; from those of the frame ``before`` a few iterations are enough."""
         cold = contact_fit.SETTINGS
         return fit_contacts(
             self.places,
@@ -261,8 +269,10 @@ class ContactLocator:
             seen,
             prior=self.prior,
             noise=self.noise,
-            unweighted=0 if warm else cold.unweighted_iterations,
-            iterations=SETTINGS.warm_start_iterations if warm else cold.iterations_max,
+            camera=self.camera,
+            motion=before.motion if before else None,
+            unweighted=0 if before else cold.unweighted_iterations,
+            iterations=SETTINGS.warm_start_iterations if before else cold.iterations_max,
         )
 
     @property
@@ -273,7 +283,11 @@ class ContactLocator:
     def _switch_forces(self, seen: ShiftObservation) -> FloatArray:
         """Return the force (m,) N on each switch that is on, by the compliance inverse."""
         rows = self._rows[seen.koi] * seen.found
-        return nonnegative_least_squares(rows @ rows.T, rows @ seen.shift_px)
+        free = rows
+        if self.camera:
+            noise = float(np.median(self.noise.each_px))
+            free = self.camera.where(seen.found).orthogonal(rows, noise)
+        return nonnegative_least_squares(free @ rows.T, free @ seen.shift_px)
 
     def _split(
         self, koi: IntArray, force_N: FloatArray, *, reach_mm: float = np.inf
@@ -359,7 +373,11 @@ class ContactLocator:
         """Return accepted contacts, with corrected forces and their switches."""
         accepted = [k for k, state in enumerate(best.states) if not state.tentative]
         out = ContactDetection(
-            contacts=[], reduced_chi2=best.reduced_chi2, shift_px=best.predicted_px
+            contacts=[],
+            reduced_chi2=best.reduced_chi2,
+            shift_px=best.predicted_px,
+            motion=best.motion,
+            motion_sd=best.motion_sd,
         )
         if not accepted:
             return out

@@ -18,6 +18,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from phytac_decoder.camera.camera import Camera
+from phytac_decoder.camera.camera_motion import MOUNTS, Mount, camera_motion
 from phytac_decoder.estimation.cascade_network import ACTIVATIONS, INPUTS, CascadeNetwork
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.force_regions import Region, regions_from_table, regions_to_table
@@ -81,6 +82,8 @@ class Bundle:
         Class of each marker's paint.
     position_mm : (n, 3) float
         Marker on the outer face: where its force acts.
+    head_mm : (n, 3) float
+        Marker's paint on the end face of its receptor, unloaded.
     rest_px : (n, 2) float
         Predicted rest positions.
     tip_bias_px : (n, 2) float
@@ -110,6 +113,7 @@ class Bundle:
     colours: ColourModel
     colour: IntArray
     position_mm: FloatArray
+    head_mm: FloatArray
     rest_px: FloatArray
     tip_bias_px: FloatArray
     tips: TipModel
@@ -147,6 +151,11 @@ class Bundle:
         """Markers (n,) at which the noise of the best estimator is below the limit."""
         noise = self.noise_centroid_px * self.model.inverse_noise_N_px
         return np.asarray(noise <= NOISE_SHARE_MAX * self.force_max_N)
+
+    def watched(self, mount: Mount = "bench") -> "Bundle":
+        """Return the decoder that estimates motion of its cameras, held by a mount, with forces."""
+        motion = camera_motion(self.cameras, self.read_by, self.head_mm, MOUNTS[mount])
+        return replace(self, model=self.model.watched_by(motion, self.noise_centroid_px))
 
     def limits(self) -> list[str]:
         """Return what this sensor cannot read in any frame, one sentence each."""
@@ -227,8 +236,15 @@ def _sha256(folder: Path) -> str:
         return file_digest(file, "sha256").hexdigest()
 
 
-def load_bundle(folder: Path) -> Bundle:
+def load_bundle(folder: Path, *, mount: Mount = "bench") -> Bundle:
     """Read a bundle; check its version, its sizes and that every number is finite.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of ``bundle.json``.
+    mount : str
+        How firmly the cameras are held against the shell, one of ``MOUNTS``.
 
     Files above 64 MiB (JSON) and 8 GiB are rejected; that of a thousand markers has about 100 MB.
 
@@ -248,7 +264,7 @@ def load_bundle(folder: Path) -> Bundle:
             f"{folder}/bundle.safetensors cannot be read ({cause_of(error)}); rebuild the decoder",
         ) from error
     try:
-        bundle = _assemble(meta, arrays, folder)
+        bundle = _assemble(meta, arrays, folder).watched(mount)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(
             "bundle-invalid",
@@ -319,8 +335,11 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         )
     # Up to schema 1.2 there was one camera and one threshold.
     tables = meta.get("cameras", [meta["camera"]])
+    cameras = tuple(camera_from(table, folder) for table in tables)
     arrays.setdefault("read_by", np.zeros(count, dtype=np.int64))
     arrays.setdefault("threshold_N", np.full(count, float(meta["threshold_N"])))
+    if "head_mm" not in arrays:  # up to schema 1.11
+        arrays["head_mm"] = _heads_on_rays(arrays, cameras)
     check_bundle(
         arrays,
         markers=count,
@@ -343,7 +362,7 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
     bundle = Bundle(
         design=str(meta["design"]),
         design_hash=str(meta["design_hash"]),
-        cameras=tuple(camera_from(table, folder) for table in tables),
+        cameras=cameras,
         read_by=arrays["read_by"],
         colours=ColourModel(
             names=tuple(meta["colours"]["names"]),
@@ -354,6 +373,7 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         ),
         colour=arrays["colour"],
         position_mm=arrays["position_mm"],
+        head_mm=arrays["head_mm"],
         rest_px=arrays["rest_px"],
         tip_bias_px=arrays["tip_bias_px"],
         tips=TipModel(**{attribute: arrays[name] for name, attribute in TIPS.items()}),
@@ -381,6 +401,17 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
     )
     locator = replace(locator, blind=bundle.tips.blind(markers_in_play(bundle)))
     return replace(bundle, model=replace(model, locator=locator))
+
+
+def _heads_on_rays(arrays: dict[str, Any], cameras: Sequence[Camera]) -> FloatArray:
+    """Return the points (n, 3) nearest to the markers on the rays of their rest positions."""
+    out = np.array(arrays["position_mm"], dtype=np.float64)
+    for which, camera in enumerate(cameras):
+        own = arrays["read_by"] == which
+        ray = camera.rays(arrays["rest_px"][own])
+        arm = out[own] - camera.position_mm
+        out[own] = camera.position_mm + np.einsum("ni,ni->n", arm, ray)[:, None] * ray
+    return out
 
 
 def _network(name: str, table: dict[str, Any], parameters: FloatArray) -> CascadeNetwork:

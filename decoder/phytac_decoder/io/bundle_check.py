@@ -13,6 +13,7 @@ from phytac_shapes.errors import InputError
 ARRAYS: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "colour": ("colour", ("n",)),
     "position_mm": ("position_mm", ("n", 3)),
+    "head_mm": ("head_mm", ("n", 3)),
     "rest_px": ("rest_px", ("n", 2)),
     "tip_bias_px": ("tip_bias_px", ("n", 2)),
     "tip_on_px": ("tips.on_px", ("n", 2)),

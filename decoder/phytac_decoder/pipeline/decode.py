@@ -18,8 +18,6 @@ from phytac_shapes.errors import InputError
 FOUND_MIN, FOUND_WELL = 0.5, 0.95
 """A frame that shows fewer than the first of these fractions of the markers is rejected; below the
 second, forces are returned with a warning."""
-CAMERA_SHIFT_MAX_px = 0.75
-"""A larger median shift of a camera's markers means that the camera has moved, not the shell."""
 
 Frames = ImageArray | Sequence[ImageArray]
 """A frame of each camera, in the bundle's order; one camera's may stand alone."""
@@ -79,15 +77,15 @@ class FrameMeasurement:
                 f"only {int(self.found.sum())} of {len(self.found)} markers were found; check "
                 "light, focus and what stands before the camera"
             )
-        shifted = self._shifted_images(bundle)
-        out += shifted
+        moved = self.moved_cameras(bundle, found)
+        out += moved
         elsewhere = self.koi[~markers_in_play(bundle)[self.koi]]
         if len(elsewhere):
             out.append(
                 f"forces on {len(elsewhere)} switched receptors ({id_list(elsewhere)}) cannot be "
                 f"read: this decoder was made for {scene_words(bundle)}"
             )
-        if not shifted:
+        if not moved:
             out += self._motion_faults(bundle, forces_N, found)
         useless = self.koi[~bundle.stiffness_usable[self.koi]]
         if len(useless) and estimator not in {"koi_inverse", "auto"}:
@@ -100,18 +98,19 @@ class FrameMeasurement:
             out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
         return out
 
-    def _shifted_images(self, bundle: Bundle) -> list[str]:
-        """Cameras whose markers have all shifted."""
-        out = []
-        for number in range(len(bundle.cameras)):
-            own = (bundle.read_by == number) & self.found & np.isfinite(self.shift_px[:, 0])
-            x, y = np.median(self.shift_px[own], axis=0) if own.any() else (0.0, 0.0)
-            if np.hypot(x, y) > CAMERA_SHIFT_MAX_px:
-                out.append(
-                    f"the whole image{bundle.of_camera(number)} has shifted by ({x:.1f}, {y:.1f}) "
-                    "px: the camera has moved; take a new rest frame"
-                )
-        return out
+    def moved_cameras(self, bundle: Bundle, found: ContactDetection | None) -> list[str]:
+        """Return the cameras that have moved farther than their mount allows, one sentence each."""
+        camera, motion = bundle.model.camera, self._motion(bundle, found)
+        if camera is None or not len(motion):
+            return []
+        return [
+            f"{text} since the rest frame, more than its mount allows; take a new rest frame, and "
+            "fasten the camera (--mount handheld allows for more)"
+            for text in camera.beyond(motion)
+        ]
+
+    def _motion(self, bundle: Bundle, found: ContactDetection | None) -> FloatArray:
+        return found.motion if found else bundle.model.motion(self.shift_px, self.koi)
 
     def _motion_faults(
         self, bundle: Bundle, forces_N: FloatArray, found: ContactDetection | None
@@ -123,7 +122,8 @@ class FrameMeasurement:
                 f"the paint of {len(self.merged)} markers ({id_list(self.merged)}) is one with "
                 "another's: they are left out; clean or repaint them"
             )
-        motion = FaultDetector(bundle, self.shift_px, self.koi, found)
+        shift_px = bundle.model.without_motion(self.shift_px, self._motion(bundle, found))
+        motion = FaultDetector(bundle, shift_px, self.koi, found)
         weak = motion.switches_without_force(forces_N)
         if len(weak):
             least = bundle.threshold_N[weak].min()

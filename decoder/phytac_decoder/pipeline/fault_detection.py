@@ -58,7 +58,7 @@ class FaultDetector:
     bundle : Bundle
         The sensor's decoder.
     shift_px : (n, 2) float
-        Shift of each marker; NaN where not found.
+        Shift of each marker less motion of the cameras; NaN where not found.
     koi : (m,) int
         Switches that are on.
     found : ContactDetection, optional
@@ -152,7 +152,12 @@ class FaultDetector:
         unswitched = any(len(contact.markers) == 0 for contact in found.contacts)
         if unswitched or found.reduced_chi2 > LOCATOR_SETTINGS.chi2_unexplained:
             return False
-        residual = np.nan_to_num(self._seen.reshape(-1) - found.shift_px)
+        predicted = found.shift_px
+        if model.camera is not None and len(
+            found.motion
+        ):  # the shifts seen are those without motion of the cameras
+            predicted = predicted - model.camera.shift_px(found.motion)
+        residual = np.nan_to_num(self._seen.reshape(-1) - predicted)
         own = np.maximum(self._gram.diagonal()[markers], 1e-300)
         as_force = (self._rows[markers] @ residual) / own
         return bool((as_force <= limit_N).all())

@@ -8,6 +8,7 @@ import numpy as np
 from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.decode import FrameMeasurement
+from phytac_decoder.pipeline.plausibility import implausible
 from phytac_shapes.arrays import FloatArray, IntArray
 
 
@@ -91,6 +92,14 @@ def read(
     if estimator == "auto":
         last = before.found if before else None
         found = bundle.model.contacts(measured.shift_px, koi, before=last)
+        moved = measured.moved_cameras(bundle, found)
+        if moved:
+            return Reading.none(moved[0], "camera-moved")
+        inverse_N = bundle.model.forces("koi_inverse", measured.shift_px, koi)
+        reasons = implausible(bundle, found, inverse_N)
+        if reasons:
+            text = f"this cannot be: {'; '.join(reasons)}; check light, focus and the rest frame"
+            return Reading.none(text, "result-implausible")
         forces = found.receptor_forces_N(len(measured.shift_px))
         warnings = measured.warnings(bundle, forces, estimator=estimator, found=found)
         return Reading(
@@ -99,6 +108,9 @@ def read(
             warnings=warnings,
             found=found,
         )
+    moved = measured.moved_cameras(bundle, None)
+    if moved:
+        return Reading.none(moved[0], "camera-moved")
     forces = measured.forces_N(bundle, estimator)
     warnings = measured.warnings(bundle, forces, estimator=estimator)
     return Reading(koi=koi, forces_N=forces, warnings=warnings)

@@ -278,6 +278,7 @@ def vision_bundle(
         colours=colours,
         colour=classes[markers.colour],
         position_mm=surface.point(markers.uv),
+        head_mm=markers.tip_mm,
         rest_px=own([item.rest_px for item in shown]),
         tip_bias_px=views["tip_bias_px"],
         tips=TipModel(

@@ -10,7 +10,6 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.recorded_frames import read_image
 from phytac_decoder.pipeline.decode import (
     FOUND_WELL,
-    CAMERA_SHIFT_MAX_px,
     FrameMeasurement,
     locate_markers,
     measure_frame,
@@ -31,7 +30,7 @@ from phytac_shapes.errors import InputError
 
 REASONS = (
     f"fewer than {100 * FOUND_WELL:.0f} % of the markers were found",
-    "the whole image has shifted against rest: the camera has moved",
+    "the camera has moved since the rest frame, farther than its mount allows",
     "a contact far above the threshold of a switch did not turn it on",
     "a switch was read as on that no contact of the log presses",
 )
@@ -197,11 +196,7 @@ def _remarks(
     out = np.zeros((len(seen), len(REASONS)), dtype=np.bool_)
     for row, measured in zip(out, seen, strict=True):
         row[0] = measured.found.mean() < FOUND_WELL
-        for number in range(len(rig.bundle.cameras)):
-            own = (rig.bundle.read_by == number) & measured.found
-            if own.any():
-                moved = np.median(measured.shift_px[own], axis=0)
-                row[1] |= bool(np.linalg.norm(moved) > CAMERA_SHIFT_MAX_px)
+        row[1] = bool(measured.moved_cameras(rig.bundle, None))
     limit = sure * thresholds_N(rig.design, rig.markers)
     must = share * touches.force_N[:, None] > limit
     np.logical_or.at(out[:, 2], touches.sample, (must & ~bits[touches.sample]).any(axis=1))

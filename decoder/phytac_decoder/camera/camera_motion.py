@@ -1,0 +1,214 @@
+"""Motion of cameras against the shell since the rest frame: how it shifts the markers.
+
+A camera that has moved, turned or changed its focal length by little shifts all markers, by a
+smooth field that few numbers b describe. To second order the shifts are ::
+
+    d(b) = Σ b_i C_i + ½ Σ b_i b_j D_ij
+
+with C and D by finite differences of the projection through the true lens. Markers that no contact
+moves determine b, so that it is estimated together with the contacts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+
+UNKNOWNS = 7
+"""Of a camera: translation x, y, z (mm), rotation x, y, z (rad), relative change of focus."""
+STEPS = np.array([0.01] * 3 + [1e-3] * 4)
+"""Steps of the finite differences."""
+MOVED_SDS = 3.0
+"""Standard deviations of the prior beyond which a camera has moved too far."""
+ROBUST_ITERATIONS = 8
+CAUCHY_SCALE = 2.0
+"""Distance of a marker, over the median one, at which it has half of its weight."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MountTolerance:
+    """How far a camera may move against the shell: standard deviations of the prior.
+
+    Attributes
+    ----------
+    shift_mm : float
+        Of its translation along each axis.
+    turn_deg : float
+        Of its rotation about each axis.
+    zoom_percent : float
+        Of the relative change of its focal length, by focus breathing or warmth.
+    """
+
+    shift_mm: float = 0.1
+    turn_deg: float = 0.1
+    zoom_percent: float = 0.1
+
+    @property
+    def sd(self) -> FloatArray:
+        """Standard deviations (7,) in the units of the unknowns."""
+        each = (self.shift_mm, float(np.radians(self.turn_deg)), self.zoom_percent / 100.0)
+        return np.repeat(each, (3, 3, 1))
+
+
+Mount = Literal["rigid", "bench", "handheld"]
+MOUNTS: dict[Mount, MountTolerance] = {
+    "rigid": MountTolerance(shift_mm=0.02, turn_deg=0.02, zoom_percent=0.03),
+    "bench": MountTolerance(),
+    "handheld": MountTolerance(shift_mm=0.5, turn_deg=0.5, zoom_percent=0.3),
+}
+"""Tolerances by name: camera and shell on one optical table, on a bracket or printed holder, or in
+something that is held, swung or dropped."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraMotion:
+    """Shifts of n markers by the motion of one or two cameras, q = 7 unknowns each.
+
+    Attributes
+    ----------
+    first : (q, 2n) float
+        Shift px of (x0, y0, x1, …) per unknown.
+    second : (t, 2n) float32
+        Second derivatives by pairs of unknowns.
+    pair : (2, t) int
+        Which pairs.
+    sd : (q,) float
+        Standard deviations of the prior.
+    """
+
+    first: FloatArray
+    second: NDArray[np.float32]
+    pair: IntArray
+    sd: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns."""
+        return len(self.sd)
+
+    def shift_px(self, b: FloatArray) -> FloatArray:
+        """Return the shifts (2n,) px by a motion (q,)."""
+        # Below a hundredth of a pixel the second order is not worth its time.
+        if np.abs(b / self.sd).max(initial=0.0) < 0.05:
+            return np.asarray(b @ self.first)
+        products = b[self.pair[0]] * b[self.pair[1]]
+        products[self.pair[0] == self.pair[1]] *= 0.5
+        return np.asarray(b @ self.first + products @ self.second)
+
+    def beyond(self, b: FloatArray) -> list[str]:
+        """Return what of a motion (q,) is more than three standard deviations, in words."""
+        out = []
+        for number, one in enumerate(np.split(b, self.count // UNKNOWNS)):
+            sd = self.sd[UNKNOWNS * number :][:UNKNOWNS]
+            far = np.abs(one) > MOVED_SDS * sd
+            words = (
+                (far[:3], f"moved by {1e3 * np.linalg.norm(one[:3]):.0f} µm"),
+                (far[3:6], f"turned by {np.degrees(np.linalg.norm(one[3:6])):.2f}°"),
+                (far[6:], f"changed its focal length by {100.0 * one[6]:+.2f} %"),
+            )
+            found = [text for mask, text in words if mask.any()]
+            if found:
+                name = "camera" if self.count == UNKNOWNS else ("near camera", "far camera")[number]
+                out.append(f"the {name} has {' and '.join(found)}")
+        return out
+
+    def orthogonal(self, rows: FloatArray, noise_px: float) -> FloatArray:
+        """Return rows (m, 2n) less what a motion would explain of them, given noise of shifts.
+
+        Least squares of shifts d by multiples f of rows r, and any motion, is that of these rows
+        alone: ``(r' rᵀ) f = r' d``.
+        """
+        inner = self.first @ self.first.T + np.diag((noise_px / self.sd) ** 2)
+        return np.asarray(rows - (rows @ self.first.T) @ np.linalg.solve(inner, self.first))
+
+    def estimate(self, shift_px: FloatArray, noise_px: float) -> FloatArray:
+        """Return the motion (q,) behind shifts (2n,): least squares with the prior, robust.
+
+        Markers that move otherwise, as by a contact that is not known, are down-weighted by
+        Cauchy's law (Holland and Welsch 1977): those that nothing presses determine the motion.
+        """
+        weight = np.ones(len(shift_px))
+        b = np.zeros(self.count)
+        for _ in range(ROBUST_ITERATIONS):
+            rows = self.first * weight
+            inner = rows @ self.first.T + np.diag((noise_px / self.sd) ** 2)
+            b[:] = np.linalg.solve(inner, rows @ shift_px)
+            off = np.hypot.reduce((shift_px - b @ self.first).reshape(-1, 2), axis=1)
+            usual = max(float(np.median(off)), noise_px)
+            weight = np.repeat(1.0 / (1.0 + (off / (CAUCHY_SCALE * usual)) ** 2), 2)
+        return np.asarray(b)
+
+    def where(self, found: BoolArray) -> "CameraMotion":
+        """Return the same with no shift where ``found`` (2n,) is false."""
+        return self if found.all() else replace(self, first=self.first * found)
+
+
+def camera_motion(
+    cameras: Sequence[Camera],
+    read_by: IntArray,
+    head_mm: FloatArray,
+    tolerance: MountTolerance,
+) -> CameraMotion:
+    """Tabulate how motions of the cameras shift markers.
+
+    Parameters
+    ----------
+    read_by : (n,) int
+        Camera that reads each marker.
+    head_mm : (n, 3) float
+        Painted faces of the receptors, sensor frame.
+    tolerance : MountTolerance
+        Prior of the motion.
+    """
+    first, second, pair = [], [], []
+    upper = np.stack(np.triu_indices(UNKNOWNS))
+    for number, camera in enumerate(cameras):
+        own = (read_by == number)[:, None]
+
+        def place(b: FloatArray, *, camera: Camera = camera) -> FloatArray:
+            return _moved(camera, b).project(head_mm)
+
+        unit = np.diag(STEPS)
+        slope = np.stack([(place(step) - place(-step)) / (2.0 * step.sum()) for step in unit])
+        curve = np.stack(
+            [
+                (
+                    place(unit[i] + unit[j])
+                    - place(unit[i] - unit[j])
+                    - place(unit[j] - unit[i])
+                    + place(-unit[i] - unit[j])
+                )
+                / (4.0 * STEPS[i] * STEPS[j])
+                for i, j in upper.T
+            ]
+        )
+        # A marker outside of the field of a moved camera is not shifted by it.
+        first.append(np.nan_to_num(np.where(own, slope, 0.0)))
+        second.append(np.nan_to_num(np.where(own, curve, 0.0)))
+        pair.append(upper + UNKNOWNS * number)
+    size = 2 * len(read_by)
+    return CameraMotion(
+        first=np.concatenate(first).reshape(-1, size),
+        second=np.concatenate(second).reshape(-1, size).astype(np.float32),
+        pair=np.concatenate(pair, axis=1),
+        sd=np.tile(tolerance.sd, len(cameras)),
+    )
+
+
+def _moved(camera: Camera, b: FloatArray) -> Camera:
+    """Return the camera after a motion (7,): moved in the sensor frame, turned about its centre."""
+    lens = replace(
+        camera.lens, fx_px=camera.lens.fx_px * (1.0 + b[6]), fy_px=camera.lens.fy_px * (1.0 + b[6])
+    )
+    return replace(
+        camera,
+        lens=lens,
+        position_mm=camera.position_mm + b[:3],
+        rotation=camera.rotation @ cv2.Rodrigues(b[3:6])[0].T,
+    )
