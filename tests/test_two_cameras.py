@@ -161,9 +161,9 @@ def test_a_camera_that_moved_is_named(built: dict[str, Path]) -> None:
     near, far = frames_in(out, "frame_pressed")
     measured = measure_frame(bundle, [near, np.roll(far, (2, 3), axis=(0, 1))], rest_px=rest)
     texts = measured.warnings(bundle, measured.forces_N(bundle, "koi_inverse"))
-    moved = [text for text in texts if "has shifted" in text]
+    moved = [text for text in texts if "since the rest frame" in text]
     assert len(moved) == 1
-    assert "the whole image of the far camera has shifted by (3." in moved[0]
+    assert "the far camera has " in moved[0]
 
 
 def test_the_command_takes_a_frame_of_each_camera(built: dict[str, Path]) -> None:

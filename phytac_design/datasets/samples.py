@@ -278,8 +278,8 @@ def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNod
     start = np.searchsorted(sample, np.arange(samples.count + 1))
     for s in np.unique(sample):
         rows = slice(start[s], start[s + 1])
-        apparent = model.apparent_mm(np.nan_to_num(samples.shift_px[s]))
         koi = marker[rows]
+        apparent = model.pressed_mm(samples.shift_px[s], koi)
         u[rows] = network_features(apparent, model.neighbours, model.height_z_mm, koi)[:, :9]
         stiff[rows] = model.stiffness[koi] @ apparent
     return KeyNodeRows(

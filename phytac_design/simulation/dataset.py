@@ -54,7 +54,12 @@ class Dataset:
 def key_node_data(model: ForceModel, data: Dataset) -> KeyNodeData:
     """One training row per switch that is on (paper, eq. 2)."""
     sample, marker = np.nonzero(data.switching.bits)
-    apparent = np.einsum("ni,sni->sn", model.shift_to_mm, data.shift_px)
+    apparent = np.stack(
+        [
+            model.pressed_mm(shift, np.flatnonzero(bits))
+            for shift, bits in zip(data.shift_px, data.switching.bits, strict=True)
+        ]
+    )
     features = [
         network_features(apparent[s], model.neighbours, model.height_z_mm, np.flatnonzero(bits))
         for s, bits in enumerate(data.switching.bits)

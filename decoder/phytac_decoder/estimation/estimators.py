@@ -149,8 +149,7 @@ class ForceModel:
         if estimator == "koi_inverse":
             out[koi] = self._inverse(shift_px, koi)
             return out
-        pressed_px = self.without_motion(shift_px, self.motion(shift_px, koi))
-        u = self.apparent_mm(np.nan_to_num(pressed_px))
+        u = self.pressed_mm(shift_px, koi)
         force = self.stiffness[koi] @ u
         if estimator != "fem":
             features = network_features(u, self.neighbours, self.height_z_mm, koi)
@@ -172,6 +171,11 @@ class ForceModel:
         pressed = self._inverse(shift_px, koi) @ self.patterns[0][koi]
         camera = self.camera.where(np.isfinite(d))
         return camera.estimate(np.nan_to_num(d - pressed), self.noise_px)
+
+    def pressed_mm(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
+        """Return the apparent u (n,) mm of shifts (n, 2) px less motion of the cameras."""
+        pressed_px = self.without_motion(shift_px, self.motion(shift_px, koi))
+        return self.apparent_mm(np.nan_to_num(pressed_px))
 
     def without_motion(self, shift_px: FloatArray, motion: FloatArray) -> FloatArray:
         """Return shifts (n, 2) px less those by a motion (q,) of the cameras."""
