@@ -107,3 +107,15 @@ def test_two_cameras_move_apart() -> None:
     np.testing.assert_allclose(got[reader == 1], 0.0, atol=1e-12)
     want = true_shift(MOTIONS["all"]).reshape(-1, 2)
     np.testing.assert_allclose(got[reader == 0], want[reader == 0], atol=2e-3)
+
+
+def test_residuals_beyond_noise_widen_the_spread() -> None:
+    """Whatever disturbs the markers: forces are no surer than the residuals allow."""
+    at, rng = np.array([27.0, 33.0, 0.0]), np.random.default_rng(5)
+    koi, ready = np.array([nearest(at)]), flat_locator(noise_px=NOISE_PX)
+    ready = replace(ready, camera=motion())
+    found = []
+    for noise_px in (NOISE_PX, 4.0 * NOISE_PX):
+        noisy = shifts(at, 8.0) + noise_px * rng.normal(size=2 * len(MARKERS))
+        found.append(ready.find(noisy.reshape(-1, 2), koi).contacts[0].raw_sd_N)
+    assert found[1] > 3.0 * found[0]

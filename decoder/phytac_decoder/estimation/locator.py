@@ -382,7 +382,9 @@ class ContactLocator:
         if not accepted:
             return out
         states = [best.states[k] for k in accepted]
-        sd = np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)[accepted]
+        # Residuals beyond noise are errors of the model, of any kind: they widen all spreads.
+        wider = np.sqrt(max(best.reduced_chi2, 1.0))
+        sd = wider * np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)[accepted]
         points = np.stack([centre_of(self.places, state) for state in states])
         radius = self._radii(states)
         raw = np.array([state.x[0] for state in states])
