@@ -149,9 +149,9 @@ def _mold_rows(
     seconds: float,
 ) -> None:
     draft, tolerance = design.mold.draft_deg, accuracy.cad_tolerance_mm
-    source = "rays along the pull, all parts"
-    row = f"{label}: rays along the pull that are caught"
-    table.add(row, facts["undercut_rays"], "-", 0, source, "== 0")
+    source = "projected area, all parts"
+    row = f"{label}: area that is caught when parts are pulled"
+    table.add(row, facts["undercut_mm2"], "mm2", 0, source, "<= 0.01")
     row = f"{label}: least draft of any face"
     table.add(row, facts["least_draft_deg"], "deg", draft, "mold.draft_deg", f">= {draft - 2e-3:g}")
     row = f"{label}: volume that closed parts share"
