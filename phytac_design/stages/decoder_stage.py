@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.camera.camera_motion import MOUNTS, camera_motion
+from phytac_decoder.camera.camera_motion import MOUNTS, tabulate_camera_motion
 from phytac_decoder.estimation.cascade_network import Activation
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.locator import ContactLocator
@@ -32,7 +32,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 def untrained_model(context: Context) -> ForceModel:
     """Return the force model of the stages ``response`` and (if it ran) ``places`` alone."""
     response, readers = context.arrays("response"), readers_of(context)
-    motion = camera_motion(
+    motion = tabulate_camera_motion(
         readers.cameras,
         readers.read_by,
         context.markers.tip_mm,
@@ -46,7 +46,7 @@ def untrained_model(context: Context) -> ForceModel:
         neighbours=context.markers.neighbours,
         networks={},
         locator=_locator(context) if "places" in context.folders else None,
-    ).watched_by(motion, context.design.camera.noise_centroid_px)
+    ).with_camera_motion(motion, context.design.camera.noise_centroid_px)
 
 
 def _locator(context: Context) -> ContactLocator:

@@ -108,7 +108,7 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
     shift = np.random.default_rng(1).normal(size=(30, 2))
     koi = np.array([7, 8, 20])
     np.testing.assert_array_equal(
-        saved.watched().model.forces("auto", shift, koi), loaded.forces("auto", shift, koi)
+        saved.with_mount().model.forces("auto", shift, koi), loaded.forces("auto", shift, koi)
     )
 
 

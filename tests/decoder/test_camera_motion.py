@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.camera.camera_motion import MOUNTS, CameraMotion, camera_motion
+from phytac_decoder.camera.camera_motion import MOUNTS, CameraMotion, tabulate_camera_motion
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest, shifts
 
@@ -44,7 +44,7 @@ def true_shift(b: list[float], camera: Camera = CAMERA) -> FloatArray:
 
 def motion(mount: str = "bench") -> CameraMotion:
     reader = np.zeros(len(MARKERS), dtype=np.int64)
-    return camera_motion([CAMERA], reader, MARKERS, MOUNTS[mount])
+    return tabulate_camera_motion([CAMERA], reader, MARKERS, MOUNTS[mount])
 
 
 @pytest.mark.parametrize("name", MOTIONS)
@@ -65,7 +65,7 @@ def test_forces_are_those_without_the_motion(name: str) -> None:
     pressed = shifts(at, 8.0) + noise
     koi = np.array([nearest(at)])
     plain = flat_locator(noise_px=NOISE_PX)
-    ready = replace(plain, camera=motion())
+    ready = replace(plain, camera_motion=motion())
     (still,) = ready.find(pressed.reshape(-1, 2), koi).contacts
     seen = (pressed + true_shift(MOTIONS[name])).reshape(-1, 2)
     found = ready.find(seen, koi)
@@ -85,7 +85,7 @@ def test_spread_of_forces_grows_by_what_the_motion_leaves_open() -> None:
     koi, seen = np.array([nearest(at)]), shifts(at, 8.0).reshape(-1, 2)
     plain = flat_locator(noise_px=NOISE_PX)
     spread = [
-        replace(plain, camera=camera).find(seen, koi).contacts[0].raw_sd_N
+        replace(plain, camera_motion=camera).find(seen, koi).contacts[0].raw_sd_N
         for camera in (None, motion("rigid"), motion("handheld"))
     ]
     assert spread[0] < spread[1] < spread[2]
@@ -93,15 +93,15 @@ def test_spread_of_forces_grows_by_what_the_motion_leaves_open() -> None:
 
 def test_a_motion_beyond_the_mount_is_named() -> None:
     table = motion("rigid")
-    assert table.beyond(np.array([0.05, 0, 0, 0, 0, 0, 0])) == []
-    (text,) = table.beyond(np.array([0.3, 0, 0, 0, 0.01, 0, 0]))
+    assert table.excess(np.array([0.05, 0, 0, 0, 0, 0, 0])) == []
+    (text,) = table.excess(np.array([0.3, 0, 0, 0, 0.01, 0, 0]))
     assert "moved by 300 µm" in text
     assert "turned by 0.57°" in text
 
 
 def test_two_cameras_move_apart() -> None:
     reader = np.arange(len(MARKERS)) % 2
-    table = camera_motion([CAMERA, CAMERA], reader, MARKERS, MOUNTS["bench"])
+    table = tabulate_camera_motion([CAMERA, CAMERA], reader, MARKERS, MOUNTS["bench"])
     b = np.array([*MOTIONS["all"], *(0.0 for _ in range(7))])
     got = table.shift_px(b).reshape(-1, 2)
     np.testing.assert_allclose(got[reader == 1], 0.0, atol=1e-12)
@@ -113,7 +113,7 @@ def test_residuals_beyond_noise_widen_the_spread() -> None:
     """Whatever disturbs the markers: forces are no surer than the residuals allow."""
     at, rng = np.array([27.0, 33.0, 0.0]), np.random.default_rng(5)
     koi, ready = np.array([nearest(at)]), flat_locator(noise_px=NOISE_PX)
-    ready = replace(ready, camera=motion())
+    ready = replace(ready, camera_motion=motion())
     found = []
     for noise_px in (NOISE_PX, 4.0 * NOISE_PX):
         noisy = shifts(at, 8.0) + noise_px * rng.normal(size=2 * len(MARKERS))

@@ -327,7 +327,7 @@ def flat_bundle(*, noise_px: float = 0.02) -> Bundle:
         compliance_px=np.stack([flat_sensor.per_newton(place) for place in places], axis=1),
         neighbours=flat_sensor.neighbours(),
         locator=flat_sensor.flat_locator(noise_px=noise_px),
-        camera=None,
+        camera_motion=None,
     )
     return replace(
         base,

@@ -69,7 +69,7 @@ def make_bundle(rest: FloatArray = REST) -> Bundle:
             networks={},
         ),
         threshold_N=np.full(COUNT, 0.5),
-    ).watched()
+    ).with_mount()
 
 
 def disc(image: FloatArray, centre: FloatArray, radius: float, colour: FloatArray) -> None:

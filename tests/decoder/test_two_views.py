@@ -222,7 +222,7 @@ def pair(foreign: FloatArray) -> tuple[Bundle, list[FloatArray]]:
         radius=3.5,
         scale=4,
     )
-    return bundle.watched(), [first, discs([tuple(p) for p in rest], names, radius=3.5, scale=4)]
+    return bundle.with_mount(), [first, discs([tuple(p) for p in rest], names, radius=3.5, scale=4)]
 
 
 def test_markers_of_the_other_camera_are_not_mistaken_for_its_own() -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-UNKNOWNS = 7
+MOTION_UNKNOWNS = 7
 """Of a camera: translation x, y, z (mm), rotation x, y, z (rad), relative change of focus."""
 STEPS = np.array([0.01] * 3 + [1e-3] * 4)
 """Steps of the finite differences."""
@@ -94,18 +94,18 @@ class CameraMotion:
 
     def shift_px(self, b: FloatArray) -> FloatArray:
         """Return the shifts (2n,) px by a motion (q,)."""
-        # Below a hundredth of a pixel the second order is not worth its time.
+        # The second order of so small a motion is far below noise and costs more than the first.
         if np.abs(b / self.sd).max(initial=0.0) < 0.05:
             return np.asarray(b @ self.first)
         products = b[self.pair[0]] * b[self.pair[1]]
         products[self.pair[0] == self.pair[1]] *= 0.5
         return np.asarray(b @ self.first + products @ self.second)
 
-    def beyond(self, b: FloatArray) -> list[str]:
+    def excess(self, b: FloatArray) -> list[str]:
         """Return what of a motion (q,) is more than three standard deviations, in words."""
         out = []
-        for number, one in enumerate(np.split(b, self.count // UNKNOWNS)):
-            sd = self.sd[UNKNOWNS * number :][:UNKNOWNS]
+        for number, one in enumerate(np.split(b, self.count // MOTION_UNKNOWNS)):
+            sd = self.sd[MOTION_UNKNOWNS * number :][:MOTION_UNKNOWNS]
             far = np.abs(one) > MOVED_SDS * sd
             words = (
                 (far[:3], f"moved by {1e3 * np.linalg.norm(one[:3]):.0f} µm"),
@@ -114,11 +114,15 @@ class CameraMotion:
             )
             found = [text for mask, text in words if mask.any()]
             if found:
-                name = "camera" if self.count == UNKNOWNS else ("near camera", "far camera")[number]
+                name = (
+                    "camera"
+                    if self.count == MOTION_UNKNOWNS
+                    else ("near camera", "far camera")[number]
+                )
                 out.append(f"the {name} has {' and '.join(found)}")
         return out
 
-    def orthogonal(self, rows: FloatArray, noise_px: float) -> FloatArray:
+    def free_of_motion(self, rows: FloatArray, noise_px: float) -> FloatArray:
         """Return rows (m, 2n) less what a motion would explain of them, given noise of shifts.
 
         Least squares of shifts d by multiples f of rows r, and any motion, is that of these rows
@@ -144,12 +148,12 @@ class CameraMotion:
             weight = np.repeat(1.0 / (1.0 + (off / (CAUCHY_SCALE * usual)) ** 2), 2)
         return np.asarray(b)
 
-    def where(self, found: BoolArray) -> "CameraMotion":
+    def masked(self, found: BoolArray) -> "CameraMotion":
         """Return the same with no shift where ``found`` (2n,) is false."""
         return self if found.all() else replace(self, first=self.first * found)
 
 
-def camera_motion(
+def tabulate_camera_motion(
     cameras: Sequence[Camera],
     read_by: IntArray,
     head_mm: FloatArray,
@@ -167,7 +171,7 @@ def camera_motion(
         Prior of the motion.
     """
     first, second, pair = [], [], []
-    upper = np.stack(np.triu_indices(UNKNOWNS))
+    upper = np.stack(np.triu_indices(MOTION_UNKNOWNS))
     for number, camera in enumerate(cameras):
         own = (read_by == number)[:, None]
 
@@ -191,7 +195,7 @@ def camera_motion(
         # A marker outside of the field of a moved camera is not shifted by it.
         first.append(np.nan_to_num(np.where(own, slope, 0.0)))
         second.append(np.nan_to_num(np.where(own, curve, 0.0)))
-        pair.append(upper + UNKNOWNS * number)
+        pair.append(upper + MOTION_UNKNOWNS * number)
     size = 2 * len(read_by)
     return CameraMotion(
         first=np.concatenate(first).reshape(-1, size),

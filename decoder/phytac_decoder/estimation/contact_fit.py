@@ -177,7 +177,7 @@ def fit_contacts(
     *,
     prior: ContactPrior,
     noise: ShiftNoise,
-    camera: CameraMotion | None = None,
+    camera_motion: CameraMotion | None = None,
     motion: FloatArray | None = None,
     unweighted: int = SETTINGS.unweighted_iterations,
     iterations: int = SETTINGS.iterations_max,
@@ -189,17 +189,17 @@ def fit_contacts(
 
     Parameters
     ----------
-    camera : CameraMotion, optional
+    camera_motion : CameraMotion, optional
         Shifts by motion of the cameras, which is estimated with the contacts.
     motion : (q,) float, optional
         Its first estimate; none if not given.
     """
-    b = np.zeros(camera.count if camera else 0) if motion is None else motion.copy()
+    b = np.zeros(camera_motion.count if camera_motion else 0) if motion is None else motion.copy()
     split = UNKNOWNS * len(states)
     weight = np.zeros(split + len(b))
     weight[:split] = _prior_sd(states, prior).ravel() ** -2.0
-    if camera:
-        weight[split:] = camera.sd**-2.0
+    if camera_motion:
+        weight[split:] = camera_motion.sd**-2.0
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
     cache = InteractionCache(pairs=places.pairs) if places.pairs else None
     change, robust = np.inf, False
@@ -208,9 +208,9 @@ def fit_contacts(
         pressed = np.sum([part[0] for part in parts], axis=0) + np.zeros(len(seen.shift_px))
         slopes = [part[1] for part in parts]
         total = pressed
-        if camera:
-            total = pressed + camera.shift_px(b)
-            slopes.append(camera.first)
+        if camera_motion:
+            total = pressed + camera_motion.shift_px(b)
+            slopes.append(camera_motion.first)
         slope = np.concatenate(slopes) if slopes else np.zeros((0, len(total)))
         variance = noise.each_px**2 + (noise.share * pressed) ** 2
         variance[switched] += noise.switched_px**2

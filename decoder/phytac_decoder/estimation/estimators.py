@@ -38,7 +38,7 @@ class ForceModel:
         Trained networks by estimator name.
     locator : ContactLocator, optional
         Finds contacts, for the estimator ``auto``.
-    camera : CameraMotion, optional
+    camera_motion : CameraMotion, optional
         Shifts by motion of the cameras since the rest frame, which is estimated in every frame.
     noise_px : float
         Standard deviation of a coordinate of a shift, against which that motion is weighed.
@@ -51,7 +51,7 @@ class ForceModel:
     neighbours: IntArray
     networks: dict[str, CascadeNetwork]
     locator: ContactLocator | None = None
-    camera: CameraMotion | None = None
+    camera_motion: CameraMotion | None = None
     noise_px: float = 0.06
 
     @property
@@ -62,12 +62,14 @@ class ForceModel:
             ready.add("auto")
         return tuple(name for name in ESTIMATORS if name in ready)
 
-    def watched_by(self, camera: CameraMotion, noise_centroid_px: float) -> "ForceModel":
+    def with_camera_motion(
+        self, camera_motion: CameraMotion, noise_centroid_px: float
+    ) -> "ForceModel":
         """Return the same with motion of the cameras as unknowns of its estimators."""
-        locator = self.locator and replace(self.locator, camera=camera)
+        locator = self.locator and replace(self.locator, camera_motion=camera_motion)
         # A shift is the difference of two centroids.
         noise_px = 1.4 * noise_centroid_px
-        return replace(self, locator=locator, camera=camera, noise_px=noise_px)
+        return replace(self, locator=locator, camera_motion=camera_motion, noise_px=noise_px)
 
     @property
     def linear(self) -> "ForceModel":
@@ -165,12 +167,12 @@ class ForceModel:
 
     def motion(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Return the motion (q,) of the cameras since the rest frame, by the linear tables."""
-        if self.camera is None:
+        if self.camera_motion is None:
             return np.zeros(0)
         d = shift_px.reshape(-1)
         pressed = self._inverse(shift_px, koi) @ self.patterns[0][koi]
-        camera = self.camera.where(np.isfinite(d))
-        return camera.estimate(np.nan_to_num(d - pressed), self.noise_px)
+        free = self.camera_motion.masked(np.isfinite(d))
+        return free.estimate(np.nan_to_num(d - pressed), self.noise_px)
 
     def pressed_mm(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Return the apparent u (n,) mm of shifts (n, 2) px less motion of the cameras."""
@@ -179,9 +181,9 @@ class ForceModel:
 
     def without_motion(self, shift_px: FloatArray, motion: FloatArray) -> FloatArray:
         """Return shifts (n, 2) px less those by a motion (q,) of the cameras."""
-        if self.camera is None or not len(motion):
+        if self.camera_motion is None or not len(motion):
             return shift_px
-        return np.asarray(shift_px - self.camera.shift_px(motion).reshape(-1, 2))
+        return np.asarray(shift_px - self.camera_motion.shift_px(motion).reshape(-1, 2))
 
     def _inverse(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Return the least-squares solution of d = C(:, KOI)·f over all found markers, f >= 0.
@@ -191,10 +193,10 @@ class ForceModel:
         d = shift_px.reshape(-1)
         rows, products = self.patterns
         found = np.isfinite(d)
-        if self.camera is None and found.all():
+        if self.camera_motion is None and found.all():
             return nonnegative_least_squares(products[np.ix_(koi, koi)], rows[koi] @ d)
         c = rows[koi] * found
         free = c
-        if self.camera is not None:
-            free = self.camera.where(found).orthogonal(c, self.noise_px)
+        if self.camera_motion is not None:
+            free = self.camera_motion.masked(found).free_of_motion(c, self.noise_px)
         return nonnegative_least_squares(free @ c.T, free @ np.nan_to_num(d))

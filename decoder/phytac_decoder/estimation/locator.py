@@ -98,7 +98,7 @@ class ContactLocator:
         Correction that was fitted to the sensor's own data.
     blind : (b,) int
         Switches that the camera cannot read.
-    camera : CameraMotion, optional
+    camera_motion : CameraMotion, optional
         Shifts by motion of the cameras since the rest frame.
     """
 
@@ -111,7 +111,7 @@ class ContactLocator:
     noise: ShiftNoise
     correction: ForceCorrection | None = None
     blind: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    camera: CameraMotion | None = None
+    camera_motion: CameraMotion | None = None
 
     @property
     def linear(self) -> "ContactLocator":
@@ -269,7 +269,7 @@ class ContactLocator:
             seen,
             prior=self.prior,
             noise=self.noise,
-            camera=self.camera,
+            camera_motion=self.camera_motion,
             motion=before.motion if before else None,
             unweighted=0 if before else cold.unweighted_iterations,
             iterations=SETTINGS.warm_start_iterations if before else cold.iterations_max,
@@ -284,9 +284,9 @@ class ContactLocator:
         """Return the force (m,) N on each switch that is on, by the compliance inverse."""
         rows = self._rows[seen.koi] * seen.found
         free = rows
-        if self.camera:
+        if self.camera_motion:
             noise = float(np.median(self.noise.each_px))
-            free = self.camera.where(seen.found).orthogonal(rows, noise)
+            free = self.camera_motion.masked(seen.found).free_of_motion(rows, noise)
         return nonnegative_least_squares(free @ rows.T, free @ seen.shift_px)
 
     def _split(

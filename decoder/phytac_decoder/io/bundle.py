@@ -18,7 +18,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.camera.camera_motion import MOUNTS, Mount, camera_motion
+from phytac_decoder.camera.camera_motion import MOUNTS, Mount, tabulate_camera_motion
 from phytac_decoder.estimation.cascade_network import ACTIVATIONS, INPUTS, CascadeNetwork
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.force_regions import Region, regions_from_table, regions_to_table
@@ -152,10 +152,10 @@ class Bundle:
         noise = self.noise_centroid_px * self.model.inverse_noise_N_px
         return np.asarray(noise <= NOISE_SHARE_MAX * self.force_max_N)
 
-    def watched(self, mount: Mount = "bench") -> "Bundle":
-        """Return the decoder that estimates motion of its cameras, held by a mount, with forces."""
-        motion = camera_motion(self.cameras, self.read_by, self.head_mm, MOUNTS[mount])
-        return replace(self, model=self.model.watched_by(motion, self.noise_centroid_px))
+    def with_mount(self, mount: Mount = "bench") -> "Bundle":
+        """Return the decoder for cameras that may move as far as a mount allows."""
+        motion = tabulate_camera_motion(self.cameras, self.read_by, self.head_mm, MOUNTS[mount])
+        return replace(self, model=self.model.with_camera_motion(motion, self.noise_centroid_px))
 
     def limits(self) -> list[str]:
         """Return what this sensor cannot read in any frame, one sentence each."""
@@ -264,7 +264,7 @@ def load_bundle(folder: Path, *, mount: Mount = "bench") -> Bundle:
             f"{folder}/bundle.safetensors cannot be read ({cause_of(error)}); rebuild the decoder",
         ) from error
     try:
-        bundle = _assemble(meta, arrays, folder).watched(mount)
+        bundle = _assemble(meta, arrays, folder).with_mount(mount)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(
             "bundle-invalid",

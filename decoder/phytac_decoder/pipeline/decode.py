@@ -100,13 +100,13 @@ class FrameMeasurement:
 
     def moved_cameras(self, bundle: Bundle, found: ContactDetection | None) -> list[str]:
         """Return the cameras that have moved farther than their mount allows, one sentence each."""
-        camera, motion = bundle.model.camera, self._motion(bundle, found)
+        camera, motion = bundle.model.camera_motion, self._motion(bundle, found)
         if camera is None or not len(motion):
             return []
         return [
             f"{text} since the rest frame, more than its mount allows; take a new rest frame, and "
             "fasten the camera (--mount handheld allows for more)"
-            for text in camera.beyond(motion)
+            for text in camera.excess(motion)
         ]
 
     def _motion(self, bundle: Bundle, found: ContactDetection | None) -> FloatArray:

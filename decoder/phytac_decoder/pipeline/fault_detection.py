@@ -152,12 +152,11 @@ class FaultDetector:
         unswitched = any(len(contact.markers) == 0 for contact in found.contacts)
         if unswitched or found.reduced_chi2 > LOCATOR_SETTINGS.chi2_unexplained:
             return False
-        predicted = found.shift_px
-        if model.camera is not None and len(
-            found.motion
-        ):  # the shifts seen are those without motion of the cameras
-            predicted = predicted - model.camera.shift_px(found.motion)
-        residual = np.nan_to_num(self._seen.reshape(-1) - predicted)
+        predicted = found.shift_px.reshape(-1, 2)
+        if self._found:
+            # Those contacts explain motion of the cameras too, which is not in these shifts.
+            predicted = model.without_motion(predicted, found.motion)
+        residual = np.nan_to_num(self._seen - predicted).reshape(-1)
         own = np.maximum(self._gram.diagonal()[markers], 1e-300)
         as_force = (self._rows[markers] @ residual) / own
         return bool((as_force <= limit_N).all())

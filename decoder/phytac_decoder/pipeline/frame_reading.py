@@ -94,7 +94,7 @@ def read(
         found = bundle.model.contacts(measured.shift_px, koi, before=last)
         moved = measured.moved_cameras(bundle, found)
         if moved:
-            return Reading.none(moved[0], "camera-moved")
+            return Reading.none("; ".join(moved), "camera-moved")
         inverse_N = bundle.model.forces("koi_inverse", measured.shift_px, koi)
         reasons = implausible(bundle, found, inverse_N)
         if reasons:
@@ -110,7 +110,7 @@ def read(
         )
     moved = measured.moved_cameras(bundle, None)
     if moved:
-        return Reading.none(moved[0], "camera-moved")
+        return Reading.none("; ".join(moved), "camera-moved")
     forces = measured.forces_N(bundle, estimator)
     warnings = measured.warnings(bundle, forces, estimator=estimator)
     return Reading(koi=koi, forces_N=forces, warnings=warnings)

@@ -18,7 +18,8 @@ class PlausibilitySettings:
     """Limits of results, in standard deviations where they have some."""
 
     sds: float = 3.0
-    """Standard deviations that are allowed on top of every limit."""
+    """Standard deviations that are allowed on top of every limit, up to the largest force that the
+    sensor is designed for: a disturbed picture widens them without end."""
     force_share: float = 1.5
     """Largest force of a contact, over that which the sensor is designed for."""
     rim_share: float = 0.8
@@ -52,7 +53,8 @@ def implausible(bundle: Bundle, found: ContactDetection, inverse_N: FloatArray) 
     if locator is None or not found.contacts:
         return out
     force = np.array([contact.force_N for contact in found.contacts])
-    margin = SETTINGS.sds * np.array([contact.sd_N for contact in found.contacts])
+    spread = SETTINGS.sds * np.array([contact.sd_N for contact in found.contacts])
+    margin = np.minimum(spread, bundle.force_max_N)
     limit = SETTINGS.force_share * bundle.force_max_N
     if (force - margin > limit).any():
         out.append(
