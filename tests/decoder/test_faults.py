@@ -17,6 +17,8 @@ from phytac_decoder.vision.segmentation import Blobs
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 from tests.decoder import flat_sensor
+from tests.decoder.test_camera_motion import motion as camera_table
+from tests.decoder.test_camera_motion import true_shift
 from tests.decoder.test_follow import BGR, COLOUR, COUNT, OFF, PITCH, REST, TIP_OFF, disc, draw
 from tests.decoder.test_follow import make_bundle as drawn_bundle
 
@@ -364,6 +366,27 @@ def test_what_tables_of_large_displacement_explain_is_no_fault() -> None:
     # Nor a frame with a dead switch besides.
     dead = flat_sensor.shifts(np.array([9.0, 9.0, 0.0]), 6.0)
     assert 11 in suspects(bundle, press + dead, AT)
+
+
+def test_motion_of_the_camera_is_no_residual_of_the_contacts() -> None:
+    """The shifts are without it, the contacts that ``auto`` found in the frame explain it."""
+    bundle, koi = flat_bundle(), np.array([flat_sensor.nearest(AT)])
+    table = camera_table()
+    model = replace(
+        bundle.model,
+        locator=replace(bundle.model.locator, camera_motion=table),
+        camera_motion=table,
+    )
+    bundle = replace(bundle, model=model)
+    noise = np.random.default_rng(6).normal(0.0, 0.02, 2 * len(flat_sensor.MARKERS))
+    seen = flat_sensor.shifts(AT, 22.0, WIDE) + noise + true_shift([-0.25, 0, 0, 0, 0, 0, 0])
+    found = model.contacts(seen.reshape(-1, 2), koi)
+    still = model.without_motion(seen.reshape(-1, 2), found.motion)
+    detector = FaultDetector(bundle, still, koi, found)
+    one, limit_N = np.array([45]), np.array([0.1])
+    assert detector._explained_by_contacts(one, limit_N)
+    moved = replace(found, shift_px=found.shift_px - table.shift_px(found.motion))
+    assert not FaultDetector(bundle, still, koi, moved)._explained_by_contacts(one, limit_N)
 
 
 def test_a_press_in_what_tables_leave_is_not_excused() -> None:

@@ -162,6 +162,29 @@ def test_a_frame_is_fitted_once(
     )
 
 
+def test_a_result_that_cannot_be_is_not_delivered(
+    pressed: tuple[Bundle, FrameMeasurement], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle, measured = pressed
+    assert read(bundle, measured, "auto").valid
+    monkeypatch.setattr(reading_module, "implausible", lambda *_: ["a contact of 300 N"])
+    got = read(bundle, measured, "auto")
+    assert (got.valid, got.code, got.forces_N.size) == (False, "result-implausible", 0)
+    assert "a contact of 300 N" in got.warnings[0]
+    sent = MessageBuilder(bundle=bundle, estimator="auto").frame(got, sequence=0, timestamp_s=0.0)
+    assert (sent["valid"], sent["total_N"], sent["contacts"]) == (False, 0.0, [])
+
+
+@pytest.mark.parametrize("estimator", ["auto", "koi_inverse"])
+def test_a_camera_that_moved_too_far_is_not_read(
+    pressed: tuple[Bundle, FrameMeasurement], estimator: str
+) -> None:
+    bundle, measured = pressed
+    far = replace(measured, shift_px=measured.shift_px + np.array([12.0, 5.0]))
+    got = read(bundle, far, estimator)
+    assert (got.valid, got.code) == (False, "camera-moved")
+
+
 def test_forces_on_unreadable_switches_are_sent(
     pressed: tuple[Bundle, FrameMeasurement], monkeypatch: pytest.MonkeyPatch
 ) -> None:
