@@ -66,7 +66,7 @@ class CameraSensor:
     def of(cls, design: Design) -> "CameraSensor":
         """The sensor that is the design itself; the decoder's matrices at draft accuracy."""
         case = CameraCase.of(design)
-        imaging, markers = case.eyes(), case.markers
+        imaging, markers = case.imaging_model(), case.markers
         mesh = marker_mesh(case.surface, markers, thickness_mm=design.wall.thickness_mm, refine=3)
         model = sensor_model(design, markers, mesh, receptors=True)
         cell = float(np.sqrt(case.surface.area_mm2() / markers.count / np.pi))

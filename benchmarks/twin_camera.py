@@ -74,8 +74,8 @@ class CameraCase:
         views = expected_views(Sensor.of(design, surface, markers))
         return cls(design=design, surface=surface, markers=markers, unit=unit, views=views)
 
-    def eyes(self, exposure: Exposure | None = None, **options: Any) -> ImagingModel:
-        """Its eyes, with the default exposure and the design's noise."""
+    def imaging_model(self, exposure: Exposure | None = None, **options: Any) -> ImagingModel:
+        """Its model, with the default exposure and the design's noise."""
         used = exposure or Exposure(noise_pixel=self.design.camera.noise_pixel)
         return ImagingModel(
             self.design, self.surface, self.unit, exposure=used, views=self.views, **options
@@ -106,17 +106,17 @@ def faults(table: Table, case: CameraCase) -> None:
     (motion,), (bits,) = case.pressed(1)
     still, off = np.zeros_like(motion), np.zeros_like(bits)
 
-    def look(eyes: ImagingModel, brightness: float) -> list[FloatArray]:
+    def look(model: ImagingModel, brightness: float) -> list[FloatArray]:
         places = []
         for pose, on in ((still, off), (motion, bits)):
-            frames = eyes.frame(pose, on, brightness)
-            places.append(locate_markers(eyes.nominal, frames)[0].position_px)
+            frames = model.frame(pose, on, brightness)
+            places.append(locate_markers(model.nominal, frames)[0].position_px)
         return places
 
-    clean = look(case.eyes(CLEAN), 1.0)
+    clean = look(case.imaging_model(CLEAN), 1.0)
     for name, change in FAULTS.items():
         try:
-            seen = look(case.eyes(replace(CLEAN, **change)), 1.0 if change else 0.8)
+            seen = look(case.imaging_model(replace(CLEAN, **change)), 1.0 if change else 0.8)
         except InputError as error:
             table.add(f"{case.design.name}: {name}", 0.0, "-", reference=1.0,
                       source="a clean camera", target=">= 1", note=str(error))  # fmt: skip
@@ -133,20 +133,20 @@ def faults(table: Table, case: CameraCase) -> None:
 
 def readable(table: Table, case: CameraCase) -> None:
     """Whether a design is read with the default exposure: markers and bits."""
-    eyes = case.eyes()
+    model = case.imaging_model()
     rng = np.random.default_rng(0)
     still = np.zeros((case.markers.count, 6))
     lost, wrong, why = 0, 0, ""
     for state in (False, True):
         bits = np.full(case.markers.count, state)
         try:
-            matched, on = locate_markers(eyes.nominal, eyes.frame(still, bits, 1.0, rng))
+            matched, on = locate_markers(model.nominal, model.frame(still, bits, 1.0, rng))
         except InputError as error:
             lost, why = lost + case.markers.count, str(error)
             continue
         lost += int((~matched.found).sum())
-        wrong += int(((on != bits) & eyes.nominal.tips.readable).sum())
-    blur = [eye.blur for eye in eyes.cameras]
+        wrong += int(((on != bits) & model.nominal.tips.readable).sum())
+    blur = [eye.blur for eye in model.cameras]
     row = f"{case.design.name}: markers lost with the default exposure, switches off and on"
     source = "twice the markers"
     note = (
@@ -173,28 +173,28 @@ def quarter(design: Design) -> Design:
 
 def points_and_frames(table: Table, case: CameraCase, count: int) -> None:
     """Displacements of both kinds of points against noise-free frames; noise."""
-    name, eyes = case.design.name, case.eyes(samples=SAMPLES)
-    if eyes.status:
+    name, model = case.design.name, case.imaging_model(samples=SAMPLES)
+    if model.status:
         table.add(f"{name}: can be read", 0.0, "-", reference=1.0, source="rest frame",
-                  target=">= 1", note=eyes.status)  # fmt: skip
+                  target=">= 1", note=model.status)  # fmt: skip
         return
     both = {
-        "paint": eyes,
-        "pixels": case.eyes(centroids="pixels", at_rest=eyes.rest, samples=SAMPLES),
+        "paint": model,
+        "pixels": case.imaging_model(centroids="pixels", at_rest=model.rest, samples=SAMPLES),
     }
     still, off = np.zeros((case.markers.count, 6)), np.zeros(case.markers.count, dtype=np.bool_)
-    zero = eyes.read(eyes.frame(still, off)).shift_px
+    zero = model.read(model.frame(still, off)).shift_px
     motions, every = case.pressed(count)
     found: dict[str, list[FloatArray]] = {"paint": [], "pixels": []}
     frames, put_in, wrong, lost = [], [], 0, 0
     for motion, bits in zip(motions, every, strict=True):
-        seen = eyes.read(eyes.frame(motion, bits))
+        seen = model.read(model.frame(motion, bits))
         frames.append(seen.shift_px - zero)
         wrong += int((seen.bits != bits).sum())
         lost += int((~seen.found).sum())
-        exact = eyes.points(motion, bits).shift_px
+        exact = model.points(motion, bits).shift_px
         noisy = [
-            eyes.points(motion, bits, rng=np.random.default_rng(k)).shift_px for k in range(DRAWS)
+            model.points(motion, bits, rng=np.random.default_rng(k)).shift_px for k in range(DRAWS)
         ]
         put_in.append(np.mean(noisy, axis=0) - exact)  # the noise of a frame is nearly gone
         for kind, own in both.items():
@@ -211,14 +211,14 @@ def points_and_frames(table: Table, case: CameraCase, count: int) -> None:
         for which, pick in (("all markers", np.ones_like(moving)), ("that move", moving)):
             whole, noise = rms(error[pick]), rms(np.array(put_in)[pick])
             row = f"{name}: points ({kind}) against frames, {which}: beyond the noise put in"
-            source = "frames through the decoder's eyes"
+            source = "frames through the decoder's marker detector"
             note = (
                 f"{whole:.3f} px RMS in all, {noise:.3f} of it the marker's place on the "
                 f"pixels, which points have as noise; {loads}"
             )
             value = float(np.sqrt(max(whole**2 - noise**2, 0.0)))
             table.add(row, value, "px RMS", 0.0, source, "<= 0.05", note)
-    rest = eyes.at_rest
+    rest = model.at_rest
     given = case.design.camera.noise_centroid_px
     for what, values in (("noise of a frame", rest.noise_px), ("place on pixels", rest.grid_px)):
         row = f"{name}: centroid error, {what}, median of all markers"
