@@ -20,7 +20,6 @@ import typer
 from typer.testing import CliRunner
 
 from phytac_decoder.estimation.force_regions import Region
-from phytac_decoder.io import live_camera
 from phytac_decoder.io.bundle import save_bundle
 from phytac_decoder.serving.sensor_loop import Progress
 from phytac_design.cli import decode_command
@@ -28,6 +27,7 @@ from phytac_design.cli.decode_command import FramePrinter, decode
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import PhytacError
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
+from tests.decoder.virtual_camera import VirtualWorld, install
 from tests.refusals import refused
 
 PRESSES: list[Mapping[int, float]] = [{}, {14: 3.0}, {14: 3.0, 15: 1.5, 29: 2.0}, {7: 2.0}]
@@ -296,36 +296,17 @@ def test_each_kind_of_warning_is_said_once(capsys: pytest.CaptureFixture[str]) -
     assert (printer.valid, printer.flagged) == (3, 2)
 
 
-class FakeCamera:
-    """Gives three frames and is then unplugged."""
-
-    def __init__(self, _device: int) -> None:
-        self.given = -1
-
-    def isOpened(self) -> bool:
-        return True
-
-    def set(self, _key: int, _value: float) -> bool:
-        return True
-
-    def grab(self) -> bool:
-        time.sleep(0.1)
-        self.given += 1
-        return self.given < 3
-
-    def retrieve(self) -> tuple[bool, ImageArray]:
-        return True, toy_frame(PRESSES[self.given])
-
-    def release(self) -> None:
-        pass
-
-
 def test_what_a_camera_gave_is_kept_when_it_goes(
     toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
-    monkeypatch.setattr(live_camera.cv2, "VideoCapture", FakeCamera)
-    monkeypatch.setattr(live_camera.CameraSource, "silent_s", 0.5)
+    warm_up = 20
+
+    def picture(number: int) -> ImageArray:
+        return toy_frame(PRESSES[max(number - warm_up, 0)])
+
+    world = VirtualWorld(picture=picture, frames=warm_up + 3, period_s=0.1)
+    install(monkeypatch, world, lost_s=0.5, give_up_s=0.5, warm_up_s=5.0)
     out = tmp_path / "out.parquet"
     with refused("camera-silent"):
         run(toy / "decoder", "7", "--parquet", out)

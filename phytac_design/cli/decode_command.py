@@ -15,6 +15,7 @@ from phytac_design.cli.options import JsonOption, say
 from phytac_design.cli.output import print_json
 from phytac_design.cli.serve_command import (
     BundleArgument,
+    ControlOption,
     DesignOption,
     FollowOption,
     MountOption,
@@ -27,7 +28,6 @@ from phytac_design.cli.serve_command import (
     named_regions,
     open_recorders,
     open_session,
-    rest_images,
     rows_text,
 )
 from phytac_shapes.errors import InputError, OutputError
@@ -57,6 +57,7 @@ def decode(
         ),
     ] = None,
     follow: FollowOption = False,
+    control: ControlOption = None,
     csv: Annotated[Path | None, typer.Option(help="CSV of contacts to write.")] = None,
     parquet: Annotated[Path | None, typer.Option(help="The same as Parquet.")] = None,
     regions: RegionsOption = None,
@@ -71,18 +72,24 @@ def decode(
         _decode_frame(bundle, frame, rest or [], estimator, regions, design, mount, as_json=as_json)
         return
     _check_files(files)
-    session = open_session(
-        bundle,
-        frame,
-        estimator,
-        rest,
-        rest_first,
-        follow=follow,
-        regions=regions,
-        design=design,
-        mount=mount,
-    )
-    _decode_recording(session, frame, fps, files, as_json=as_json)
+    with contextlib.ExitStack() as stack:
+        session = open_session(
+            stack,
+            bundle,
+            frame,
+            estimator,
+            rest,
+            rest_first,
+            follow=follow,
+            regions=regions,
+            design=design,
+            mount=mount,
+            control=control,
+            report=say,
+            fps=fps,
+            pace=False,
+        )
+        _decode_recording(session, files, as_json=as_json)
 
 
 def is_image(where: str) -> bool:
@@ -119,7 +126,7 @@ def _decode_frame(
     regions = named_regions(regions_file, bundle, folder, design)
     images = [read_image(Path(where)) for where in frames]
     if rest:
-        bundle = calibrate_rest(bundle, rest_images(bundle, rest, [], 0))
+        bundle = calibrate_rest(bundle, [read_image(path) for path in rest])
     measured = measure_frame(bundle, images)
     reading = read(bundle, measured, chosen)
     if not reading.valid:
@@ -237,9 +244,7 @@ def _row(message: "Message") -> str:
     return "  ".join(parts)
 
 
-def _decode_recording(
-    session: Session, source: list[str], fps: float | None, files: dict[str, Path], *, as_json: bool
-) -> None:
+def _decode_recording(session: Session, files: dict[str, Path], *, as_json: bool) -> None:
     """One row per frame, until the source ends or Ctrl-C; what was decoded is kept."""
     from phytac_decoder.serving.sensor_loop import Stream
     from phytac_design.core.parquet_recording import to_parquet
@@ -248,16 +253,15 @@ def _decode_recording(
     parquet = files.get("--parquet")
     # Parquet is made of the CSV at the end.
     contacts = files.get("--csv") or (_scratch(parquet) if parquet else None)
-    stopped, failed = False, None
+    stopped, failed, frames = False, None, session.source
     with contextlib.ExitStack() as stack:
-        frames = session.frames(stack, source, fps=fps, pace=False, report=say)
         kept = open_recorders(stack, contacts, files.get("--record-regions"), session.region_names)
         for limit in session.bundle.limits():
             say(f"warning: {limit}")
         stream = Stream(
             source=frames,
             decode=session.decode,
-            messages=session.messages(frames),
+            messages=session.messages(),
             publish=printer.publish,
             recorders=list(kept.values()),
             report=say,

@@ -8,6 +8,7 @@ import typer
 from phytac_design.cli.console_reporter import ConsoleReporter
 from phytac_design.cli.serve_command import (
     BundleArgument,
+    ControlOption,
     DesignOption,
     EstimatorOption,
     EveryOption,
@@ -41,6 +42,7 @@ def live(
     regions: RegionsOption = None,
     design: DesignOption = None,
     record: RecordOption = None,
+    control: ControlOption = None,
     every: EveryOption = False,
     loop: LoopOption = False,
 ) -> None:
@@ -48,22 +50,27 @@ def live(
     from phytac_decoder.serving.live_view import LiveView
     from phytac_decoder.serving.sensor_loop import Stream
 
-    session = open_session(
-        bundle,
-        source,
-        estimator,
-        rest,
-        rest_first,
-        follow=follow,
-        regions=regions,
-        design=design,
-        mount=mount,
-    )
     stopped = False
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(ConsoleReporter())
-        frames = session.frames(stack, source, report=report, fps=fps, every=every, loop=loop)
-        messages = session.messages(frames)
+        session = open_session(
+            stack,
+            bundle,
+            source,
+            estimator,
+            rest,
+            rest_first,
+            follow=follow,
+            regions=regions,
+            design=design,
+            mount=mount,
+            control=control,
+            report=report,
+            fps=fps,
+            every=every,
+            loop=loop,
+        )
+        frames, messages = session.source, session.messages()
         view = stack.enter_context(LiveView(messages.hello(), port=port))
         kept = open_recorders(stack, record, None, [])
         report(f"{session.bundle.design}: {frames.description}; look at {view.url}; Ctrl-C stops")

@@ -8,7 +8,6 @@ import typer
 
 from phytac_design.cli.console_reporter import ConsoleReporter
 from phytac_design.cli.options import say
-from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
@@ -58,6 +57,14 @@ FollowOption = Annotated[
     bool,
     typer.Option(
         "--follow", help="Follow markers from frame to frame, from the unloaded sensor on: faster."
+    ),
+]
+ControlOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Lock a camera's setting at a value, as exposure=156 (of gain, white_balance, focus "
+        "too), leave it automatic (focus=auto), or choose format=raw or format=mjpg; may be "
+        "repeated."
     ),
 ]
 RecordOption = Annotated[Path | None, typer.Option(help="CSV of contacts to write.")]
@@ -113,6 +120,7 @@ def serve(
     regions: RegionsOption = None,
     design: DesignOption = None,
     record_regions: RecordRegionsOption = None,
+    control: ControlOption = None,
     every: EveryOption = False,
     loop: LoopOption = False,
     wait: Annotated[
@@ -127,23 +135,28 @@ def serve(
     from phytac_decoder.serving.force_server import StreamServer
     from phytac_decoder.serving.sensor_loop import Progress, Stream
 
-    session = open_session(
-        bundle,
-        source,
-        estimator,
-        rest,
-        rest_first,
-        follow=follow,
-        regions=regions,
-        design=design,
-        mount=mount,
-    )
-    loaded = session.bundle
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(ConsoleReporter())
-        frames = session.frames(stack, source, report=report, fps=fps, every=every, loop=loop)
+        session = open_session(
+            stack,
+            bundle,
+            source,
+            estimator,
+            rest,
+            rest_first,
+            follow=follow,
+            regions=regions,
+            design=design,
+            mount=mount,
+            control=control,
+            report=report,
+            fps=fps,
+            every=every,
+            loop=loop,
+        )
+        loaded, frames = session.bundle, session.source
         started_s = time.monotonic()
-        messages = session.messages(frames)
+        messages = session.messages()
         motion = None
         if imu is not None:
             motion = Imu(imu, clock=lambda: time.monotonic() - started_s, report=report)
@@ -213,9 +226,10 @@ def convert(
 
 
 class Session(NamedTuple):
-    """A sensor's decoder, set up for one run."""
+    """A sensor's decoder and its frames, set up for one run."""
 
     bundle: "Bundle"
+    source: "Source"
     regions: "tuple[Region, ...]"
     estimator: str
     decode: "Decode"
@@ -225,16 +239,7 @@ class Session(NamedTuple):
         """Names of the regions."""
         return [region.name for region in self.regions]
 
-    def frames(self, stack: contextlib.ExitStack, source: list[str], **options: Any) -> "Source":
-        """Source of frames, which the stack closes; see :func:`open_source`."""
-        from phytac_decoder.io.frame_sources import open_source
-
-        camera = self.bundle.camera
-        frames = open_source(source, size_px=(camera.width_px, camera.height_px), **options)
-        stack.callback(frames.close)
-        return frames
-
-    def messages(self, frames: "Source") -> "MessageBuilder":
+    def messages(self) -> "MessageBuilder":
         """Messages of a stream that begins now."""
         import time
 
@@ -243,14 +248,15 @@ class Session(NamedTuple):
         return MessageBuilder(
             bundle=self.bundle,
             estimator=self.estimator,
-            source=frames.description,
-            clock=frames.clock,
+            source=self.source.description,
+            clock=self.source.clock,
             started_unix_s=time.time(),
             regions=self.regions,
         )
 
 
 def open_session(
+    stack: contextlib.ExitStack,
     folder: Path,
     source: list[str],
     estimator: str | None,
@@ -261,8 +267,21 @@ def open_session(
     regions: Path | None,
     design: str | None,
     mount: "Mount" = "bench",
+    control: list[str] | None = None,
+    **options: Any,
 ) -> Session:
     """Load a decoder and set it up as the options say; from now on SIGTERM stops as Ctrl-C does.
+
+    A camera is opened once: its rest frames have the same settings as all others.
+
+    Parameters
+    ----------
+    stack : ExitStack
+        Closes the source.
+    folder, source, estimator, rest, rest_first, follow, regions, design, mount, control
+        Of the command line.
+    **options
+        See :func:`phytac_decoder.io.frame_sources.open_source`.
 
     Raises
     ------
@@ -272,8 +291,11 @@ def open_session(
     import signal
 
     from phytac_decoder.io.bundle import load_bundle
+    from phytac_decoder.io.frame_sources import first_frames, open_source
+    from phytac_decoder.io.recorded_frames import read_image
     from phytac_decoder.pipeline.colour_calibration import calibrate_rest
-    from phytac_decoder.serving.sensor_loop import follow_decoder, frame_decoder
+    from phytac_decoder.serving.exposure_monitor import with_exposure_check
+    from phytac_decoder.serving.sensor_loop import check_estimator, follow_decoder, frame_decoder
     from phytac_decoder.serving.torn_frames import with_torn_frame_check
 
     bundle = load_bundle(folder, mount=mount)
@@ -285,20 +307,59 @@ def open_session(
             "camera-count", f"the sensor {bundle.design!r} has {each} (got {len(source)})"
         )
     chosen = estimator or bundle.model.best
-    unloaded = rest_images(bundle, rest or [], source, rest_first)
-    if follow and not unloaded:
+    check_estimator(bundle, chosen)
+    if rest and rest_first:
+        raise InputError(
+            "rest-options-exclusive",
+            "--rest and --rest-first name the unloaded sensor both; give one of them",
+        )
+    if follow and not (rest or rest_first):
         raise InputError(
             "rest-frame-missing",
             "--follow begins at a frame of the unloaded sensor; give it with --rest, or use "
             "--rest-first if the recording begins with it",
         )
+    unloaded = [read_image(path) for path in rest or []]
+    frames = open_frames(stack, bundle, source, control, **options)
+    if rest_first:
+        begun = frames
+        if not frames.live:
+            begun = open_source(source, pace=False, report=options["report"])
+            stack.callback(begun.close)
+        unloaded = first_frames(begun, rest_first)
     calibrated = calibrate_rest(bundle, unloaded) if unloaded else bundle
     if follow:
         decode = follow_decoder(calibrated, unloaded, estimator=chosen)
     else:
         decode = frame_decoder(calibrated, estimator=chosen)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    return Session(bundle, named, chosen, with_torn_frame_check(decode))
+    checked = with_exposure_check(with_torn_frame_check(decode))
+    frames.restart()
+    return Session(bundle, frames, named, chosen, checked)
+
+
+def open_frames(
+    stack: contextlib.ExitStack,
+    bundle: "Bundle",
+    source: list[str],
+    control: list[str] | None,
+    **options: Any,
+) -> "Source":
+    """Source of a sensor's frames, which the stack closes.
+
+    Raises
+    ------
+    InputError
+        If a setting of ``--control`` is not valid, or see
+        :func:`phytac_decoder.io.frame_sources.open_source`.
+    """
+    from phytac_decoder.io.camera_device import parse_controls
+    from phytac_decoder.io.frame_sources import open_source
+
+    sizes = [(camera.width_px, camera.height_px) for camera in bundle.cameras]
+    frames = open_source(source, sizes_px=sizes, controls=parse_controls(control or []), **options)
+    stack.callback(frames.close)
+    return frames
 
 
 def rows_text(kept: "Recorders") -> str:
@@ -322,41 +383,6 @@ def named_regions(
     from phytac_design.layout.region_chart import bundle_regions
 
     return bundle_regions(path, bundle, folder, design)
-
-
-def rest_images(
-    bundle: "Bundle", rest: list[Path], source: list[str], first: int
-) -> list[ImageArray]:
-    """A frame of the unloaded sensor of each camera; none if none was named.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        The sensor's decoder.
-    rest : list of Path
-        Its images.
-    source : list of str
-        Where frames come from.
-    first : int
-        So many of these show the unloaded sensor.
-
-    Raises
-    ------
-    InputError
-        If both are given, or they cannot be read.
-    """
-    from phytac_decoder.io.frame_sources import first_frames
-    from phytac_decoder.io.recorded_frames import read_image
-
-    if rest and first:
-        raise InputError(
-            "rest-options-exclusive",
-            "--rest and --rest-first name the unloaded sensor both; give one of them",
-        )
-    if first:
-        size = (bundle.camera.width_px, bundle.camera.height_px)
-        return first_frames(source, first, size_px=size, report=say)
-    return [read_image(path) for path in rest]
 
 
 def open_recorders(

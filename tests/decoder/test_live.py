@@ -5,8 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from phytac_decoder.io import live_camera
+from phytac_decoder.io import camera_device
+from phytac_decoder.io.camera_device import CaptureSettings
 from phytac_decoder.io.frame_sources import open_source
+from phytac_decoder.io.live_camera import CameraSource
 
 PERIOD_S = 0.02
 OUTAGE_S = 1.0
@@ -15,14 +17,17 @@ OUTAGE_S = 1.0
 class Failing:
     """Gives 50 frames a second, except for a second in which it fails at once."""
 
-    def __init__(self, _device: int | str) -> None:
-        self.begun = time.monotonic()
+    def __init__(self, _device: int | str, _api: int) -> None:
+        self.begun = time.monotonic() + 0.5
 
     def isOpened(self) -> bool:
         return True
 
     def set(self, *_words: float) -> bool:
         return True
+
+    def get(self, _key: int) -> float:
+        return -1.0
 
     def grab(self) -> bool:
         if 0.5 < time.monotonic() - self.begun < 0.5 + OUTAGE_S:
@@ -38,7 +43,10 @@ class Failing:
 
 
 def test_an_outage_costs_as_many_frames_as_it_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_camera.cv2, "VideoCapture", Failing)
+    monkeypatch.setattr(camera_device.cv2, "VideoCapture", Failing)
+    # It is not lost yet.
+    settings = CaptureSettings(lost_s=5.0)
+    monkeypatch.setattr(CameraSource, "settings", settings)
     source = open_source(["0"], report=lambda _: None)
     for frame in source:
         if frame.timestamp_s > 0.7 + OUTAGE_S:

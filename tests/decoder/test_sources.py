@@ -9,12 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from phytac_decoder.io import live_camera
 from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.io.frame_sources import RecordingSource, first_frames, open_source
 from phytac_decoder.io.recorded_frames import ImageFolder, read_image
 from phytac_shapes.arrays import ImageArray
+from tests.decoder.virtual_camera import VirtualCamera, VirtualWorld, install
 from tests.refusals import refused
+
+WARM_UP = 20
+"""Frames that are discarded: before settings are locked, and after."""
 
 
 def shade(value: int) -> ImageArray:
@@ -230,6 +233,8 @@ def test_sources_that_do_not_go_together_are_rejected(tmp_path: Path) -> None:
             open_source([folder], fps=rate)
     with refused("camera-option-conflict"):
         open_source(["0"], loop=True)
+    with refused("camera-option-conflict"):
+        open_source([folder], controls={"gain": 3.0})
 
 
 def test_without_pace_a_rate_only_stamps(tmp_path: Path) -> None:
@@ -266,79 +271,49 @@ def test_first_frames_are_averaged(tmp_path: Path) -> None:
         cv2.imwrite(str(near / f"frame_{number}.png"), shade(value))
     tear(near / "frame_1.png")
     reported: list[str] = []
-    one, two = first_frames([str(near), str(far)], 3, report=reported.append)
+    one, two = first_frames(open_source([str(near), str(far)], report=reported.append), 3)
     assert one.dtype == np.uint8
     assert set(one.ravel().tolist()) == {round((10 + 30 + 61) / 3)}
     assert set(two.ravel().tolist()) == {round((0 + 2 + 3) / 3)}
     assert len(reported) == 1
     with refused("rest-frames-too-few"):
-        first_frames([str(near)], 9, report=reported.append)
+        first_frames(open_source([str(near)], report=reported.append), 9)
     cv2.imwrite(str(far / "frame_1.png"), np.zeros((12, 16, 3), dtype=np.uint8))
     with refused("frame-size-varies"):
-        first_frames([str(far)], 2)
-
-
-class FakeCamera:
-    """What OpenCV gives, at 200 frames a second; every fifth is torn; it ends with the 40th."""
-
-    made: list["FakeCamera"] = []  # noqa: RUF012 - of one test at a time
-
-    def __init__(self, device: int | str) -> None:
-        self.device, self.number, self.released = device, -1, False
-        self.set_to: dict[int, float] = {}
-        self.made.append(self)
-
-    def isOpened(self) -> bool:
-        return self.device != 9
-
-    def set(self, key: int, value: float) -> bool:
-        self.set_to[key] = value
-        return True
-
-    def get(self, key: int) -> float:
-        return 30.0 if key == cv2.CAP_PROP_FPS else self.set_to.get(key, 0.0)
-
-    def grab(self) -> bool:
-        time.sleep(0.005)
-        self.number += 1
-        return self.number < 40
-
-    def retrieve(self) -> tuple[bool, ImageArray | None]:
-        good = self.number % 5 != 4
-        return good, shade(self.number) if good else None
-
-    def release(self) -> None:
-        self.released = True
+        first_frames(open_source([str(far)]), 2)
 
 
 @pytest.fixture
-def cameras(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[FakeCamera]]:
-    FakeCamera.made = []
-    monkeypatch.setattr(live_camera.cv2, "VideoCapture", FakeCamera)
-    monkeypatch.setattr(live_camera.CameraSource, "silent_s", 0.3)
-    yield FakeCamera.made
-    assert all(camera.released for camera in FakeCamera.made)
+def world(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualWorld]:
+    """A camera of 200 frames a second; after its warm-up every fifth is torn, and it ends."""
+    world = VirtualWorld(
+        picture=lambda number: shade(max(number - WARM_UP, 0)),
+        torn=lambda number: number >= WARM_UP and number % 5 == 4,
+        frames=WARM_UP + 40,
+        lie={cv2.CAP_PROP_FPS: 30.0},
+    )
+    yield install(monkeypatch, world, lost_s=0.3, give_up_s=0.3)
+    assert all(camera.released for camera in world.opened)
 
 
-def take(source: Source, camera: FakeCamera, frames: list[Frame]) -> None:
+def take(source: Source, camera: VirtualCamera, frames: list[Frame]) -> None:
     before = 0
     for frame in source:
         frames.append(frame)
         # None that waited: one may be torn, one on its way.
         assert frame.number >= before - 2
         time.sleep(0.021)
-        before = min(camera.number, 39)
+        before = min(camera.number - WARM_UP, 39)
 
 
-def test_a_slow_decoder_gets_a_cameras_newest_frame(cameras: list[FakeCamera]) -> None:
+def test_a_slow_decoder_gets_a_cameras_newest_frame(world: VirtualWorld) -> None:
     reported: list[str] = []
-    source = open_source(["3"], fps=60.0, size_px=(32, 24), report=reported.append)
-    (camera,) = cameras
-    assert camera.set_to[cv2.CAP_PROP_FRAME_WIDTH] == 32
-    assert reported[0] == "camera 3 was set to 60 fps and reports 30"
+    source = open_source(["3"], fps=60.0, sizes_px=[(32, 24)], report=reported.append)
+    assert (cv2.CAP_PROP_FRAME_WIDTH, 32) in world.last.asked
+    assert "REFUSED fps 60 (it reports 30)" in reported[0]
     frames: list[Frame] = []
     with refused("camera-silent"):
-        take(source, camera, frames)
+        take(source, world.last, frames)
     numbers = [frame.number for frame in frames]
     assert numbers == values(frames)
     assert numbers == sorted(set(numbers))
@@ -349,26 +324,20 @@ def test_a_slow_decoder_gets_a_cameras_newest_frame(cameras: list[FakeCamera]) -
     source.close()
 
 
-def test_two_cameras_are_read_together(cameras: list[FakeCamera]) -> None:
+def test_two_cameras_are_read_together(world: VirtualWorld) -> None:
     source = open_source(["0", "1"], report=lambda _: None)
     frames = iter(source)
     for _ in range(5):
         first, second = next(frames).images
         assert first[0, 0, 0] == second[0, 0, 0]
     source.close()
+    assert len(world.opened) == 2
 
 
-def test_a_cameras_first_frames_leave_it_free(cameras: list[FakeCamera]) -> None:
-    (mean,) = first_frames(["3"], 3, size_px=(32, 24), report=lambda _: None)
-    (camera,) = cameras
-    assert camera.released
-    assert camera.set_to[cv2.CAP_PROP_FRAME_WIDTH] == 32
-    assert mean.shape == (24, 32, 3)
-
-
-def test_a_camera_that_is_not_there_is_rejected(cameras: list[FakeCamera]) -> None:
+def test_a_camera_that_is_not_there_is_rejected(world: VirtualWorld) -> None:
     with refused("camera-not-opened"):
-        open_source(["0", "9"])
+        open_source(["0", "9"], report=lambda _: None)
+    assert len(world.opened) == 2
 
 
 def test_one_image_is_whole_or_rejected(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def reading(forces_N: dict[int, float], *warnings: str) -> Reading:
 
 def test_hello_describes_the_numbers() -> None:
     hello = messages().hello()
-    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.3")
+    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.4")
     assert hello["design"] == "toy"
     assert hello["markers"] == len(hello["positions_mm"]) == COUNT
     assert hello["positions_mm"][7] == [10.0, 10.0, 0.0]

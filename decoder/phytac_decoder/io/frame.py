@@ -18,15 +18,18 @@ class Frame:
     timestamp_s : float
         When it was taken, on the source's clock.
     images : tuple of (h, w, 3) uint8
-        BGR, the near end's camera first.
+        BGR, the near end's camera first; empty while a camera is lost.
     ready_s : float
         ``time.monotonic()`` at which it was available.
+    gap_s : float
+        Time without pictures before it, where the camera was lost; else 0.
     """
 
     number: int
     timestamp_s: float
     images: tuple[ImageArray, ...]
     ready_s: float
+    gap_s: float = 0.0
 
 
 class Source(ABC):
@@ -54,6 +57,10 @@ class Source(ABC):
 
     @abstractmethod
     def __iter__(self) -> Iterator[Frame]: ...
+
+    def restart(self) -> None:
+        """Count lost frames from now on, and of a camera all frames and time."""
+        self.missed = self.skipped = 0
 
     @abstractmethod
     def close(self) -> None:

@@ -2,7 +2,7 @@
 
 import stat
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -164,7 +164,8 @@ def open_source(
     every: bool = False,
     loop: bool = False,
     pace: bool = True,
-    size_px: tuple[int, int] | None = None,
+    sizes_px: Sequence[tuple[int, int]] | None = None,
+    controls: Mapping[str, float | str] | None = None,
     report: Callable[[str], None] = print,
 ) -> Source:
     """Frames of an image, a folder of images, a video or a camera; of two, in step.
@@ -179,8 +180,10 @@ def open_source(
     pace : bool
         Wait until each frame of a recording is due; otherwise ``fps`` only sets the timestamps, and
         no frame is skipped.
-    size_px : tuple of int, optional
-        Width and height to request from a camera.
+    sizes_px : sequence of (int, int), optional
+        Width and height that each camera's pictures must have.
+    controls : mapping, optional
+        Settings of a camera, see :func:`phytac_decoder.io.camera_device.parse_controls`.
     report : callable
         Called with a line on frames that cannot be read.
 
@@ -201,7 +204,11 @@ def open_source(
                 "camera-option-conflict",
                 "a camera neither begins again nor waits; leave --loop, --every out",
             )
-        return CameraSource(devices, fps=fps, size_px=size_px, report=report)
+        return CameraSource(devices, fps=fps, sizes_px=sizes_px, controls=controls, report=report)
+    if controls:
+        raise InputError(
+            "camera-option-conflict", "--control sets a camera; leave it out for a recording"
+        )
     if devices:
         raise InputError(
             "camera-option-conflict",
@@ -214,44 +221,40 @@ def open_source(
     )
 
 
-def first_frames(
-    wheres: Sequence[str],
-    count: int,
-    *,
-    size_px: tuple[int, int] | None = None,
-    report: Callable[[str], None] = print,
-) -> list[ImageArray]:
-    """Mean (h, w, 3) uint8 of the first frames of each camera, with less noise than one frame.
+def first_frames(source: Source, count: int) -> list[ImageArray]:
+    """Mean (h, w, 3) uint8 of a source's next frames of each camera, with less noise than one.
 
     Parameters
     ----------
-    wheres, size_px, report
-        See :func:`open_source`; recordings are read from their beginning.
+    source : Source
+        It stays open: a camera keeps its settings.
     count : int
         How many; frames that cannot be read do not count.
 
     Raises
     ------
     InputError
-        If there are fewer, they differ in size, or see :func:`open_source`.
+        If there are fewer, they differ in size, or the camera is lost.
     """
-    source = open_source(wheres, pace=False, size_px=size_px, report=report)
     totals: list[NDArray[np.uint32]] = []
     got = 0
-    try:
-        # Summed one by one: memory may not hold them all.
-        for _, frame in zip(range(count), source, strict=False):
-            totals = totals or [np.zeros(image.shape, np.uint32) for image in frame.images]
-            for total, image in zip(totals, frame.images, strict=True):
-                if total.shape != image.shape:
-                    raise InputError(
-                        "frame-size-varies",
-                        f"frames of {source.description} differ in size; give one recording",
-                    )
-                np.add(total, image, out=total)
-            got += 1
-    finally:
-        source.close()
+    # Summed one by one: memory may not hold them all.
+    for _, frame in zip(range(count), source, strict=False):
+        if frame.gap_s:
+            raise InputError(
+                "rest-frames-interrupted",
+                f"{source.description} was lost while the rest frames were taken; plug it in "
+                "firmly, and start again",
+            )
+        totals = totals or [np.zeros(image.shape, np.uint32) for image in frame.images]
+        for total, image in zip(totals, frame.images, strict=True):
+            if total.shape != image.shape:
+                raise InputError(
+                    "frame-size-varies",
+                    f"frames of {source.description} differ in size; give one recording",
+                )
+            np.add(total, image, out=total)
+        got += 1
     if got < count:
         raise InputError(
             "rest-frames-too-few",

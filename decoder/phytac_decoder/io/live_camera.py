@@ -1,14 +1,12 @@
-"""Frames of a running camera."""
+"""Frames of a running camera, which may be unplugged and come back."""
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
-import cv2
-import numpy as np
-
+from phytac_decoder.io.camera_device import CameraDevice, CaptureSettings
 from phytac_decoder.io.frame import Frame, Source
+from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
 
@@ -19,112 +17,173 @@ class CameraSource(Source):
     a driver. Two cameras are triggered within about a millisecond of each other only if their
     hardware does so.
 
+    While a camera gives no picture, frames without images are given, one each ``lost_s``, and the
+    camera is opened again as soon as it is back.
+
     Parameters
     ----------
     devices : sequence of int or str
         Numbers or addresses that OpenCV opens.
     fps : float, optional
         Rate to request from the camera.
-    size_px : tuple of int, optional
-        Width and height to request.
+    sizes_px : sequence of (int, int), optional
+        Width and height that each camera's pictures must have.
+    controls : mapping, optional
+        Settings of all cameras, see :func:`phytac_decoder.io.camera_device.parse_controls`.
     report : callable
-        Called with a line on frames that cannot be read.
+        Called with a line on each camera's settings, and on frames that cannot be read.
 
     Raises
     ------
     InputError
-        If one cannot be opened.
+        If one cannot be opened, or see :meth:`phytac_decoder.io.camera_device.CameraDevice.open`.
     """
 
     live = True
     clock = "seconds since the stream began"
-    silent_s = 5.0
-    """A camera that gives no frame for this long is disconnected."""
+    settings = CaptureSettings()
 
     def __init__(
         self,
         devices: Sequence[int | str],
         *,
         fps: float | None = None,
-        size_px: tuple[int, int] | None = None,
+        sizes_px: Sequence[tuple[int, int]] | None = None,
+        controls: Mapping[str, float | str] | None = None,
         report: Callable[[str], None] = print,
     ) -> None:
         self.description = " and ".join(f"camera {device}" for device in devices)
         self._report = report
-        self._cameras: list[Any] = []
-        for device in devices:
-            camera = cv2.VideoCapture(device)
-            self._cameras.append(camera)
-            if not camera.isOpened():
-                self._release()
-                raise InputError(
-                    "camera-not-opened",
-                    f"camera {device} cannot be opened; is it plugged in, free, and may you read "
-                    "it? (its number counts from 0; on Linux N is /dev/videoN)",
-                )
-            self._set_up(camera, device, fps, size_px)
+        self._devices = [
+            CameraDevice(
+                device=device,
+                size_px=sizes_px[number] if sizes_px else None,
+                fps=fps,
+                controls=controls or {},
+                settings=self.settings,
+                report=report,
+            )
+            for number, device in enumerate(devices)
+        ]
+        try:
+            for device in self._devices:
+                device.open()
+        except BaseException:
+            self._release()
+            raise
         self._slot: Frame | None = None
         self._news = threading.Condition()
         self._stop = False
+        # Usual time between frames, until two have come.
+        self._period_s = 1.0 / (fps or self.settings.fps)
+        self.restart()
         self._thread = threading.Thread(target=self._read, name="camera", daemon=True)
         self._thread.start()
 
-    def _set_up(
-        self, camera: Any, device: int | str, fps: float | None, size_px: tuple[int, int] | None
-    ) -> None:
-        camera.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        if size_px:
-            camera.set(cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
-            camera.set(cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
-        if fps:
-            camera.set(cv2.CAP_PROP_FPS, fps)
-            got = float(camera.get(cv2.CAP_PROP_FPS))
-            if abs(got - fps) > 0.01 * fps:
-                self._report(f"camera {device} was set to {fps:g} fps and reports {got:g}")
+    def restart(self) -> None:
+        """Count frames and time from now on; the camera keeps running."""
+        with self._news:
+            self._slot = None
+            self._began_s = self._last_s = time.monotonic()
+            self._number = self._last_number = self.missed = self.skipped = 0
 
     def __iter__(self) -> Iterator[Frame]:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._slot or self._stop, timeout=self.silent_s)
+                self._news.wait_for(lambda: self._slot or self._stop, self.settings.lost_s)
                 frame, self._slot = self._slot, None
-            if frame is None:
-                if self._stop:
+                if frame is None and self._stop:
                     return
-                raise InputError(
-                    "camera-silent",
-                    f"{self.description} has given no frame for {self.silent_s:g} s; plug it in",
-                )
-            yield frame
+                frame = frame or self._frame_without_image()
+            if frame is not None:
+                yield frame
+
+    def _frame_without_image(self) -> Frame | None:
+        """A frame that shows that the camera is lost; None if it is not."""
+        now = time.monotonic()
+        gap_s = now - self._last_s
+        if gap_s > self.settings.give_up_s:
+            raise InputError(
+                "camera-silent",
+                f"{self.description} has given no frame for {gap_s:.0f} s; plug it in, and start "
+                "again",
+            )
+        if gap_s < self.settings.lost_s:
+            return None
+        number, self._number = self._number, self._number + 1
+        stamp = now - self._began_s
+        return Frame(number=number, timestamp_s=stamp, images=(), ready_s=now, gap_s=gap_s)
 
     def _read(self) -> None:
-        started, number = time.monotonic(), 0
-        # Usual time between frames, until two have come.
-        period_s, last_s = 1.0 / 30.0, -1.0
+        follows = False
         while not self._stop:
             tried_s = time.monotonic()
             # All are grabbed before any is unpacked, so that they are of one instant.
-            grabbed = [camera.grab() for camera in self._cameras]
+            grabbed = [device.grab() for device in self._devices]
             now = time.monotonic()
-            read = [camera.retrieve() for camera in self._cameras] if all(grabbed) else []
-            if not read or not all(good and image is not None for good, image in read):
-                self.skipped += 1
-                if self.skipped == 1:
-                    self._report(f"{self.description}: a frame could not be read; such are skipped")
-                # One that fails at once has not lost a frame each time.
-                rest_s = 0.0 if read else period_s - (now - tried_s)
-                time.sleep(max(rest_s, 0.005))
-                last_s = -1.0
+            read = [device.retrieve() for device in self._devices] if all(grabbed) else []
+            images = tuple(image for image in read if image is not None)
+            if len(images) == len(self._devices):
+                if follows:
+                    self._period_s = min(now - self._last_s, 0.5)
+                self._publish(images, now)
+                follows = True
+                continue
+            follows = False
+            self._skip()
+            if now - self._last_s > self.settings.lost_s:
+                self._reopen()
             else:
-                if last_s >= 0.0:
-                    period_s = min(now - last_s, 0.5)
-                last_s = now
-                images = tuple(np.asarray(image, dtype=np.uint8) for _, image in read)
-                frame = Frame(number=number, timestamp_s=now - started, images=images, ready_s=now)
-                with self._news:
-                    self.missed += self._slot is not None
-                    self._slot = frame
-                    self._news.notify()
-            number += 1
+                # One that fails at once has not lost a frame each time.
+                rest_s = 0.0 if read else self._period_s - (now - tried_s)
+                time.sleep(max(rest_s, 0.005))
+
+    def _publish(self, images: tuple[ImageArray, ...], now: float) -> None:
+        with self._news:
+            gap_s, slot = now - self._last_s, self._slot
+            if gap_s < self.settings.lost_s:
+                gap_s = 0.0
+            else:
+                # So many frames would have come.
+                due = self._last_number + round(gap_s / self._period_s)
+                self.skipped += max(due - self._number, 0)
+                self._number = max(due, self._number)
+            self.missed += slot is not None
+            self._slot = Frame(
+                number=self._number,
+                timestamp_s=now - self._began_s,
+                images=images,
+                ready_s=now,
+                gap_s=max(gap_s, slot.gap_s if slot else 0.0),
+            )
+            self._last_s, self._last_number = now, self._number
+            self._number += 1
+            self._news.notify()
+        if gap_s:
+            self._report(f"{self.description} is back after {gap_s:.1f} s")
+
+    def _skip(self) -> None:
+        with self._news:
+            self.skipped += 1
+            self._number += 1
+            first = self.skipped == 1
+        if first:
+            self._report(f"{self.description}: a frame could not be read; such are skipped")
+
+    def _reopen(self) -> None:
+        """Open the cameras again, until they give pictures or the stream is closed."""
+        self._report(f"{self.description} gives no picture and is opened again")
+        while not self._stop:
+            self._release()
+            try:
+                for device in self._devices:
+                    device.open()
+            except InputError as error:
+                if error.code != "camera-not-opened":
+                    self._report(str(error))
+                time.sleep(self.settings.retry_s)
+            else:
+                return
 
     def close(self) -> None:
         """Release the cameras."""
@@ -137,5 +196,5 @@ class CameraSource(Source):
             self._release()
 
     def _release(self) -> None:
-        for camera in self._cameras:
-            camera.release()
+        for device in self._devices:
+            device.release()

@@ -215,12 +215,22 @@ class Stream:
                 now.latency_ms.clear()
         now.missed, now.skipped = source.missed, source.skipped
 
-    def _message(self, frame: Frame, missed: int) -> Message:
+    def _reading(self, frame: Frame) -> Reading:
+        away = f"{self.source.description} gave no picture for {frame.gap_s:.1f} s"
+        if not frame.images:
+            return Reading.none(f"{away}; is it plugged in?", "camera-lost")
         try:
             reading = self.decode(frame)
         except (PhytacError, cv2.error, np.linalg.LinAlgError) as error:
             code = error.code if isinstance(error, PhytacError) else ""
-            reading = Reading.none(f"the frame cannot be decoded: {error}", code)
+            return Reading.none(f"the frame cannot be decoded: {error}", code)
+        if frame.gap_s:
+            note = f"{away}: if it was moved or its settings changed, take a new rest frame"
+            return replace(reading, warnings=[*reading.warnings, note])
+        return reading
+
+    def _message(self, frame: Frame, missed: int) -> Message:
+        reading = self._reading(frame)
         done_s = time.monotonic()
         return self.messages.frame(
             reading,
@@ -229,6 +239,7 @@ class Stream:
             decoded_s=done_s - self.started_s,
             latency_ms=1000.0 * (done_s - frame.ready_s),
             missed=missed,
+            gap_s=frame.gap_s,
             imu=self.imu.latest(frame.timestamp_s) if self.imu else None,
         )
 

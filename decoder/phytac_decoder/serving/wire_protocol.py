@@ -91,7 +91,7 @@ class MessageBuilder:
         out: Message = {
             "type": "hello",
             "format": "phytac-stream",
-            "version": "1.3",
+            "version": "1.4",
             "design": bundle.design,
             "design_hash": bundle.design_hash,
             "estimator": self.estimator,
@@ -127,6 +127,7 @@ class MessageBuilder:
         decoded_s: float = 0.0,
         latency_ms: float = 0.0,
         missed: int = 0,
+        gap_s: float = 0.0,
         imu: Message | None = None,
     ) -> Message:
         """One frame's forces; those that are not finite are left out, with a warning.
@@ -143,6 +144,8 @@ class MessageBuilder:
             When it was decoded, and how long after it was available.
         missed : int
             Frames before this one that were not decoded.
+        gap_s : float
+            Time without pictures before it, where the camera was lost; else 0.
         imu : dict, optional
             Motion sample that belongs to it.
         """
@@ -176,6 +179,8 @@ class MessageBuilder:
         }
         if reading.code:
             out["code"] = reading.code
+        if gap_s:
+            out["gap_s"] = _rounded(gap_s, 3)
         if self.outward is not None:
             # Pressing acts along the inward normal.
             net = -(force_N @ self.outward[markers])
