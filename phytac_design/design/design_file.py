@@ -52,9 +52,11 @@ def parse_design(data: dict[str, Any], where: str, *, folder: Path = Path()) -> 
 def design_hash(design: Design) -> str:
     """Hash of the resolved design, the same for the same fields in any order.
 
-    Names of regions are left out: with others it is still the same sensor.
+    Names of regions are left out: with others it is still the same sensor. So are reference marks
+    where there are none: designs from before they existed keep their hash.
     """
-    text = json.dumps(design.model_dump(mode="json", exclude={"regions"}), sort_keys=True)
+    unused = {"regions"} if design.reference_marks.count else {"regions", "reference_marks"}
+    text = json.dumps(design.model_dump(mode="json", exclude=unused), sort_keys=True)
     return sha256(text.encode()).hexdigest()
 
 

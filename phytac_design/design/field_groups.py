@@ -23,8 +23,9 @@ PARTS: dict[str, tuple[str, ...]] = {
         "camera.stand_off_mm",
         "camera.fill",
     ),
-    # Where the cameras stand and what their lenses do; they keep clear of wall and light bar.
-    "cameras": ("shape", "wall.thickness_mm", "light", "lens"),
+    # Where the cameras stand and what their lenses do; they keep clear of wall and light bar, and
+    # see the reference marks.
+    "cameras": ("shape", "wall.thickness_mm", "light", "lens", "reference_marks"),
     # Where receptors stand, and along what.
     "places": (
         "shape",

@@ -10,6 +10,44 @@ from phytac_design.design.positions import read_positions
 ColourName = Literal["blue", "green", "yellow", "magenta", "cyan"]
 
 
+class ReferenceMarksSection(Section):
+    """Dots painted on the clamped rims, which show motion of the camera and turn of the shell."""
+
+    count: int = Field(0, ge=0, le=64)
+    """Dots around each rim, in the layout's first colour, evenly spaced but for dot 0, which
+    stands half a step aside; 0 for none, else at least 6."""
+    ends: Literal["near", "far", "both"] = "near"
+    """Rims that carry them; those of a sheet or dome have one end, the near one."""
+    diameter_mm: float = assumed(1.2, gt=0.0, le=100.0)
+    """Diameter of a dot. Dots stand in two rows beside the wall, alternately."""
+
+    @model_validator(mode="after")
+    def _enough(self) -> Self:
+        if 0 < self.count < 6:
+            raise ValueError(
+                f"count must be 0 or at least 6 (got {self.count}): fewer dots do not determine "
+                "the motion of a camera"
+            )
+        return self
+
+    @property
+    def end_numbers(self) -> tuple[int, ...]:
+        """Rims that carry dots: 0 near, 1 far; none without dots."""
+        return {"near": (0,), "far": (1,), "both": (0, 1)}[self.ends] if self.count else ()
+
+    @property
+    def rows_mm(self) -> tuple[float, float]:
+        """Distances of the two rows of dots from the end of the sensing surface."""
+        # A quarter of a millimetre keeps brush strokes off the wall, which moves.
+        first = 0.25 + self.diameter_mm / 2.0
+        return first, first + self.diameter_mm
+
+    @property
+    def reach_mm(self) -> float:
+        """Length of rim that the dots need."""
+        return self.rows_mm[1] + self.diameter_mm / 2.0
+
+
 class LayoutSection(Section):
     """Markers on the surface, and how tall their receptors are."""
 

@@ -11,7 +11,7 @@ from phytac_design.design.base_table import Section, assumed
 from phytac_design.design.documents_table import BenchSection, KitSection
 from phytac_design.design.fixture_table import AnyFixture
 from phytac_design.design.hardware_table import HardwareSection
-from phytac_design.design.layout_table import LayoutSection, ReceptorSection
+from phytac_design.design.layout_table import LayoutSection, ReceptorSection, ReferenceMarksSection
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.regions_table import RegionSection
 from phytac_design.design.switch_table import MoldSection, SwitchSection
@@ -267,6 +267,7 @@ class Design(Section):
     wall: WallSection = WallSection()
     layout: LayoutSection = LayoutSection()
     receptor: ReceptorSection = ReceptorSection()
+    reference_marks: ReferenceMarksSection = ReferenceMarksSection()
     switch: SwitchSection = SwitchSection()
     mold: MoldSection = MoldSection()
     bench: BenchSection = BenchSection()

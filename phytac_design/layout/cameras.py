@@ -9,6 +9,7 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera, fit_distance_mm
 from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_design.design.spec import Design
+from phytac_design.geometry.boundary_loops import conormals
 from phytac_design.geometry.envelope import bar_span_mm, edge_mm, open_far
 from phytac_design.layout.markers import Markers
 from phytac_shapes import Surface
@@ -104,6 +105,8 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
             f'camera.ends = "{section.ends}"); set camera.ends = "near"',
         )
     rim = edge_mm(surface, end, -design.wall.thickness_mm)
+    if end in design.reference_marks.end_numbers:
+        rim = _with_marks(design, surface, end, rim)
     sign = 1.0 if end == 0 else -1.0
     start = _start_mm(rim, end)
 
@@ -140,6 +143,15 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
         fix_rim = f"move it back to at least {fit(1.0):.2f} mm or {fix}"
         _raise_rim_hidden(camera, rim, side, where, fix_rim)
     return camera
+
+
+def _with_marks(design: Design, surface: Surface, end: int, rim: FloatArray) -> FloatArray:
+    """Points of a rim and of the strip beside it that carries reference marks."""
+    low, high = surface.domain[1]
+    uv = np.full((len(rim), 2), surface.domain[0, end])
+    uv[:, 1] = np.linspace(low, high, len(rim), endpoint=not surface.periodic[1])
+    strip = rim + design.reference_marks.reach_mm * conormals(surface, uv, 0, end)
+    return np.concatenate([rim, strip])
 
 
 def fit_stand_off_mm(

@@ -9,6 +9,7 @@ from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import shell_mesh
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout.cameras import cameras_of
+from phytac_design.layout.mark_placement import PlacedMarks, place_reference_marks
 from phytac_design.layout.marker_layout import make_markers
 from phytac_design.layout.markers import Markers
 from phytac_shapes import Surface
@@ -49,6 +50,11 @@ class Sensor:
     def cameras(self) -> tuple[Camera, ...]:
         """Cameras on the axis, the near one first; see :func:`cameras_of` for what it raises."""
         return cameras_of(self.design, self.surface)
+
+    @cached_property
+    def reference_marks(self) -> PlacedMarks:
+        """Dots on the clamped rims; see :func:`place_reference_marks` for what it raises."""
+        return place_reference_marks(self.design, self.surface)
 
     def envelope(self, tolerance_mm: float) -> TriangleMesh:
         """Inner face of the wall and rims, facets within a tolerance of the true faces."""

@@ -76,6 +76,7 @@ def albedo(scene: RenderScene, paint: FloatArray | None = None) -> FloatArray:
     index = np.zeros(len(scene.part), dtype=np.int64)
     index[tip >= 0] = 1
     index[marker >= 0] = 2 + scene.colour[marker[marker >= 0]]
+    index[scene.part < 0] = 2
     out: FloatArray = colours[index]
     fixture = (scene.part >= FIRST_FIXTURE) & (scene.part < FIRST_MARKER)
     out[fixture] = to_linear(np.array(FIXTURE))

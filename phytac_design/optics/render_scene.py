@@ -30,7 +30,8 @@ NONE, SHELL, BAR, RESIN = 0, 1, 2, 3
 FIRST_FIXTURE = 4
 """Codes from here up to ``FIRST_MARKER``: the design's fixtures."""
 FIRST_MARKER = 16
-"""Codes from here: ``16 + 2 i`` is the paint of marker i, ``17 + 2 i`` its switch's red tip."""
+"""Codes from here: ``16 + 2 i`` is the paint of marker i, ``17 + 2 i`` its switch's red tip.
+Negative codes are reference marks: ``-1 - k`` is mark k."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +52,8 @@ class RenderScene:
         Index of each marker's paint in ``paints``.
     paints : tuple of str
         Names of the markers' paints, keys of ``paint.PAINTS``.
+    marks : int
+        Number of reference marks, which have the first paint.
     """
 
     vertices: FloatArray
@@ -59,11 +62,17 @@ class RenderScene:
     vertex_owner: NDArray[np.int32]
     colour: IntArray
     paints: tuple[str, ...]
+    marks: int = 0
 
     @property
     def count(self) -> int:
         """Number of markers."""
         return len(self.colour)
+
+    @property
+    def spot_colour(self) -> IntArray:
+        """Index of the paint of each marker, then of each reference mark, (n + r,)."""
+        return np.append(self.colour, np.zeros(self.marks, dtype=np.int64))
 
     @property
     def triangle_owner(self) -> NDArray[np.int32]:
@@ -120,6 +129,11 @@ def red_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
     return _owner(part, 1)
 
 
+def spot_owner(part: NDArray[np.int32], count: int) -> NDArray[np.int32]:
+    """Marker whose paint each part code is, or ``count`` + k for reference mark k; else -1."""
+    return np.where(part < 0, count - 1 - part, paint_owner(part)).astype(np.int32)
+
+
 def _owner(part: NDArray[np.int32], kind: int) -> NDArray[np.int32]:
     mine = (part >= FIRST_MARKER) & (part & 1 == kind)
     return np.where(mine, (part - FIRST_MARKER) >> 1, -1).astype(np.int32)
@@ -134,9 +148,13 @@ def sides_of(radius_mm: float, tolerance_mm: FloatArray) -> IntArray:
 
 
 def build_scene(
-    sensor: Sensor, *, tolerance_mm: FloatArray | float, switch_on: BoolArray | None = None
+    sensor: Sensor,
+    *,
+    tolerance_mm: FloatArray | float,
+    switch_on: BoolArray | None = None,
+    marks: bool = True,
 ) -> RenderScene:
-    """Shell, rims, light bar, fixtures and all receptors as triangles.
+    """Shell, rims, light bar, fixtures, reference marks and all receptors as triangles.
 
     Parameters
     ----------
@@ -145,6 +163,8 @@ def build_scene(
         minimum applies to shell, bar and fixtures. See ``cameras.tolerance_mm``.
     switch_on : (n,) bool, optional
         Switches whose red tip is out; none by default.
+    marks : bool
+        Whether reference marks are painted.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     on = np.zeros(markers.count, dtype=bool) if switch_on is None else np.asarray(switch_on)
@@ -164,8 +184,15 @@ def build_scene(
         _receptors(design, markers, on, np.flatnonzero(sides == value), int(value))
         for value in np.unique(sides)
     ]
-    whole = merged([mesh for mesh, _ in fixed] + [mesh for mesh, _, _ in groups])
     codes = [np.full(len(mesh.triangles), code, dtype=np.int32) for mesh, code in fixed]
+    painted = sensor.reference_marks.count if marks else 0
+    if painted:
+        # A layer of paint, clear of the chords of the wall's facets.
+        dots = sensor.reference_marks.mesh(0.02 + 2.0 * shell_tolerance, surface, design)
+        fixed.append((dots, NONE))
+        code = -1 - np.arange(painted, dtype=np.int32)
+        codes.append(np.repeat(code, len(dots.triangles) // painted))
+    whole = merged([mesh for mesh, _ in fixed] + [mesh for mesh, _, _ in groups])
     owners = [np.full(len(mesh.vertices_mm), -1, dtype=np.int32) for mesh, _ in fixed]
     return RenderScene(
         vertices=whole.vertices_mm,
@@ -174,6 +201,7 @@ def build_scene(
         vertex_owner=np.concatenate([*owners, *(owner for _, _, owner in groups)]),
         colour=markers.colour,
         paints=tuple(design.layout.colours),
+        marks=painted,
     )
 
 

@@ -37,6 +37,7 @@ from phytac_design.optics.render_scene import (
     build_scene,
     paint_owner,
     red_owner,
+    spot_owner,
 )
 from phytac_design.optics.zbuffer import fill
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
@@ -171,7 +172,8 @@ def measure_visibility(
     samples = 4  # samples per pixel of the frame that decides on fusion
     buffers = rasterise(rest, camera)
     marker = paint_owner(buffers.part)
-    own, other = marker_gaps(marker, rest.colour)
+    spots = spot_owner(buffers.part, rest.count)
+    own, other = (gap[: rest.count] for gap in marker_gaps(spots, rest.spot_colour))
     visible, centroid, point = _means(buffers, marker, rest, camera)
     alone = pixels_alone(rest, camera)
     fraction = np.divide(visible, alone, out=np.zeros(len(alone)), where=alone > 0)
@@ -195,8 +197,71 @@ def measure_visibility(
         red_rest_px=red_px[0],
         red_on_px=red_px[1],
         occluded=occluded,
-        fused=fused_in_frame(frame, marker, rest),
+        fused=fused_in_frame(frame, spots, rest)[: rest.count],
         hidden_by=occluder,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkVisibility:
+    """What one camera sees of r reference marks at rest.
+
+    Attributes
+    ----------
+    visible_px : (r,) int
+        Pixels of each.
+    centroid_px : (r, 2) float
+        Their mean; NaN if none.
+    clear : (r,) bool
+        Marks that are seen as markers must be, and not fused with another.
+    """
+
+    visible_px: IntArray
+    centroid_px: FloatArray
+    clear: BoolArray
+
+
+def mark_visibility(
+    sensor: Sensor, rest: RenderScene, camera: Camera, frame: ImageArray
+) -> MarkVisibility:
+    """Visibility of a sensor's reference marks in a scene and its frame (BGR)."""
+    outline = sensor.reference_marks.outline_mm
+    flat = camera.project(outline.reshape(-1, 3)).reshape(*outline.shape[:2], 2)
+    # Shoelace formula; it also counts what lies beyond the image.
+    x, y = np.moveaxis(flat, 2, 0)
+    area = np.abs(np.sum(x * np.roll(y, -1, 1) - y * np.roll(x, -1, 1), axis=1)) / 2.0
+    spots = spot_owner(rasterise(rest, camera).part, rest.count)
+    sums = owner_sums(spots, rest.count + rest.marks)[rest.count :]
+    count = sums[:, 0]
+    fused = fused_in_frame(frame, spots, rest)[rest.count :]
+    seen = (count >= PIXELS_MIN) & (count >= FRACTION_MIN * np.nan_to_num(area, nan=np.inf))
+    return MarkVisibility(
+        visible_px=count.astype(np.int64),
+        centroid_px=sums[:, 1:] / np.where(count > 0.0, count, np.nan)[:, None],
+        clear=seen & ~fused,
+    )
+
+
+def marks_advice(sensor: Sensor, clear: BoolArray, visible_px: IntArray) -> str:
+    """Text on reference marks that no camera sees clearly (r,), and the fix; "" if there are none.
+
+    Parameters
+    ----------
+    clear : (r,) bool
+        Marks that a camera sees clearly.
+    visible_px : (r,) int
+        Most pixels that a camera sees of each.
+    """
+    hidden = np.flatnonzero(~clear)
+    if not len(hidden):
+        return ""
+    marks = sensor.reference_marks
+    ends = " and ".join(("near", "far")[end] for end in np.unique(marks.end[hidden]))
+    return (
+        f"no camera sees {len(hidden)} of {marks.count} reference marks clearly (on the {ends} "
+        f"rim, {int(visible_px[hidden].min())} px of the worst; needed: {PIXELS_MIN} px, half of "
+        "its paint, and free of markers): set reference_marks.ends to a rim before a camera, "
+        "raise reference_marks.diameter_mm, or lower its count"
     )
 
 
@@ -286,12 +351,12 @@ def _means(
     return count, means[:, :2], means[:, 2:]
 
 
-def fused_in_frame(frame: ImageArray, marker: NDArray[np.int32], scene: RenderScene) -> BoolArray:
-    """Markers that the decoder's segmentation of ``frame`` (BGR) does not separate, (n,)."""
+def fused_in_frame(frame: ImageArray, spots: NDArray[np.int32], scene: RenderScene) -> BoolArray:
+    """Markers and reference marks that segmentation of ``frame`` does not separate, (n + r,)."""
     model = ColourModel.from_rgb(paints_of(scene.paints))
     blobs = segment(frame, model, with_labels=True)
     paint = np.array([model.names.index(name) for name in scene.paints])
-    return fused_markers(np.asarray(blobs.labels), blobs.colour, marker, paint[scene.colour])
+    return fused_markers(np.asarray(blobs.labels), blobs.colour, spots, paint[scene.spot_colour])
 
 
 def fused_markers(
@@ -364,7 +429,8 @@ def occluding_parts(
             paint = (owner >= 0) & (scene.part[owner] == code)
             seen = buffers.part[top:low, left:right][paint]
             lost = seen[seen != code]
-            votes += np.bincount(np.where(lost >= FIRST_MARKER, RESIN, lost), minlength=len(votes))
+            lost = np.where(lost >= FIRST_MARKER, RESIN, np.where(lost < 0, SHELL, lost))
+            votes += np.bincount(lost, minlength=len(votes))
             votes[NONE] += alone_px[marker] - int(paint.sum())
         if votes.any():
             out[k] = int(votes.argmax())

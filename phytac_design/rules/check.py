@@ -2,6 +2,7 @@
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.hardware_assembly import check_hardware
+from phytac_design.layout.mark_placement import place_reference_marks
 from phytac_design.layout.region_chart import design_regions
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
@@ -31,6 +32,7 @@ def check_design(design: Design) -> Sensor:
     check_sizes(design)
     check_wall(design, sensor.surface)
     markers = sensor.markers
+    place_reference_marks(design, sensor.surface)
     design_regions(design)
     check_heights(sensor)
     check_reach(sensor)

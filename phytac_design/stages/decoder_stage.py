@@ -21,7 +21,7 @@ from phytac_design.layout.region_chart import design_regions
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.dataset import Dataset, decode_points, key_node_data
 from phytac_design.simulation.force_errors import contact_forces, score_contacts
-from phytac_design.simulation.imaging.nominal_view import colour_model
+from phytac_design.simulation.imaging.nominal_view import bundle_marks, colour_model
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.places_stage import locator_of
 from phytac_design.stages.response_stage import readers_of
@@ -106,6 +106,7 @@ def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) 
         noise_centroid_px=design.camera.noise_centroid_px,
         force_max_N=design.training.force_max_N,
         shown=shown if len(shown) > 1 else (),
+        marks=bundle_marks(context.sensor, views),
         notes=notes,
     )
 

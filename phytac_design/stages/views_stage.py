@@ -19,6 +19,7 @@ from phytac_design.optics.sharpness import lens_facts
 from phytac_design.optics.visibility import (
     best_of,
     check_visibility,
+    marks_advice,
     visibility_advice,
 )
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
@@ -118,7 +119,11 @@ def told_apart(context: Context) -> str:
         counted = scope.in_play(context.markers)
     occluded = np.flatnonzero(views["occluded"] & counted)
     fused = np.flatnonzero(views["fused"] & counted)
-    return visibility_advice(context.design, context.markers, occluded, fused, views["hidden_by"])
+    reasons = [
+        visibility_advice(context.design, context.markers, occluded, fused, views["hidden_by"]),
+        marks_advice(context.sensor, views["mark_clear"], views["mark_visible_px"]),
+    ]
+    return "; ".join(filter(None, reasons))
 
 
 def straight_of(design: Design) -> Design:

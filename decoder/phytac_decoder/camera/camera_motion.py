@@ -56,6 +56,12 @@ class MountTolerance:
         return np.repeat(each, (3, 3, 1))
 
 
+MARKED = MountTolerance(shift_mm=1.0, turn_deg=1.0, zoom_percent=1.0)
+"""Motion that reference marks can show, as limits and as standard deviations of a wide prior:
+beyond it terms of third order are above a tenth of a pixel."""
+MARKS_MIN, MARKS_CHI2_MAX = 4, 25.0
+"""Fewer marks in a camera do not determine its motion; and the largest reduced χ² of marks that
+only a camera has moved."""
 Mount = Literal["rigid", "bench", "handheld"]
 MOUNTS: dict[Mount, MountTolerance] = {
     "rigid": MountTolerance(shift_mm=0.02, turn_deg=0.02, zoom_percent=0.03),
@@ -80,17 +86,25 @@ class CameraMotion:
         Which pairs.
     sd : (q,) float
         Standard deviations of the prior.
+    precision : (q, q) float, optional
+        Inverse covariance of the prior, where reference marks tell more than the mount.
     """
 
     first: FloatArray
     second: NDArray[np.float32]
     pair: IntArray
     sd: FloatArray
+    precision: FloatArray | None = None
 
     @property
     def count(self) -> int:
         """Number of unknowns."""
         return len(self.sd)
+
+    @property
+    def prior(self) -> FloatArray:
+        """Inverse covariance (q, q) of the motion before a frame's markers are seen."""
+        return np.diag(self.sd**-2.0) if self.precision is None else self.precision
 
     def shift_px(self, b: FloatArray) -> FloatArray:
         """Return the shifts (2n,) px by a motion (q,)."""
@@ -101,12 +115,17 @@ class CameraMotion:
         products[self.pair[0] == self.pair[1]] *= 0.5
         return np.asarray(b @ self.first + products @ self.second)
 
-    def excess(self, b: FloatArray) -> list[str]:
-        """Return what of a motion (q,) is more than three standard deviations, in words."""
-        out = []
+    def excess(self, b: FloatArray, marked: BoolArray | None = None) -> list[str]:
+        """Return what of a motion (q,) is more than three standard deviations, in words.
+
+        ``marked`` (q,) unknowns may be as large as reference marks can show.
+        """
+        out, limit = [], MOVED_SDS * self.sd
+        if marked is not None:
+            wide = np.tile(MARKED.sd, self.count // MOTION_UNKNOWNS)
+            limit = np.where(marked, np.maximum(limit, wide), limit)
         for number, one in enumerate(np.split(b, self.count // MOTION_UNKNOWNS)):
-            sd = self.sd[MOTION_UNKNOWNS * number :][:MOTION_UNKNOWNS]
-            far = np.abs(one) > MOVED_SDS * sd
+            far = np.abs(one) > limit[MOTION_UNKNOWNS * number :][:MOTION_UNKNOWNS]
             words = (
                 (far[:3], f"moved by {1e3 * np.linalg.norm(one[:3]):.0f} µm"),
                 (far[3:6], f"turned by {np.degrees(np.linalg.norm(one[3:6])):.2f}°"),
@@ -128,7 +147,7 @@ class CameraMotion:
         Least squares of shifts d by multiples f of rows r, and any motion, is that of these rows
         alone: ``(r' rᵀ) f = r' d``.
         """
-        inner = self.first @ self.first.T + np.diag((noise_px / self.sd) ** 2)
+        inner = self.first @ self.first.T + noise_px**2 * self.prior
         return np.asarray(rows - (rows @ self.first.T) @ np.linalg.solve(inner, self.first))
 
     def estimate(self, shift_px: FloatArray, noise_px: float) -> FloatArray:
@@ -148,9 +167,75 @@ class CameraMotion:
             weight = np.repeat(1.0 / (1.0 + (off / (CAUCHY_SCALE * usual)) ** 2), 2)
         return np.asarray(b)
 
+    def estimate_by_marks(self, shift_px: FloatArray, noise_px: float) -> "MarkedMotion | None":
+        """Return the motion behind shifts (r, 2) of reference marks, NaN where not found.
+
+        The table is that of the marks. The mount's prior is widened as far as the marks demand.
+        None if no camera sees enough marks, or no motion explains them.
+        """
+        found = np.isfinite(shift_px).all(axis=1)
+        marked = np.zeros(self.count, dtype=np.bool_)
+        used = np.zeros(len(found), dtype=np.bool_)
+        for block in np.split(np.arange(self.count), self.count // MOTION_UNKNOWNS):
+            own = np.any(self.first[block].reshape(len(block), -1, 2), axis=(0, 2))
+            if np.count_nonzero(own & found) >= max(MARKS_MIN, np.count_nonzero(own) / 2.0):
+                marked[block], used = True, used | (own & found)
+        if not marked.any():
+            return None
+        d = np.where(used[:, None], shift_px, 0.0).reshape(-1)
+        wide = np.tile(MARKED.sd, self.count // MOTION_UNKNOWNS)
+        sd = np.where(marked, np.maximum(wide, self.sd), self.sd)
+        b, precision, _ = self._marked_fit(d, used, sd, noise_px, np.zeros(self.count))
+        spread = np.sqrt(np.diagonal(np.linalg.inv(precision)))
+        demand = (np.abs(b) - 2.0 * spread) / self.sd
+        for block in np.split(np.arange(self.count), self.count // MOTION_UNKNOWNS):
+            sd[block] = self.sd[block] * max(float(demand[block].max()), 1.0)
+        b, precision, chi2 = self._marked_fit(d, used, sd, noise_px, b)
+        if chi2 > MARKS_CHI2_MAX:
+            return None
+        return MarkedMotion(mean=b, precision=precision / max(chi2, 1.0), marked=marked)
+
+    def _marked_fit(
+        self, d: FloatArray, used: BoolArray, sd: FloatArray, noise_px: float, b: FloatArray
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Return motion (q,), its precision (q, q) and reduced χ² of marks, robust as above."""
+        share, prior = used.astype(np.float64), np.diag(sd**-2.0)
+        for _ in range(ROBUST_ITERATIONS):
+            weight = np.repeat(share, 2) / noise_px**2
+            rows = self.first * weight
+            precision = rows @ self.first.T + prior
+            # Slopes of first order converge fast enough: the second is a hundredth of it.
+            residual = d - self.shift_px(b)
+            b = b + np.linalg.solve(precision, rows @ residual - prior @ b)
+            residual = d - self.shift_px(b)
+            off = np.hypot.reduce(residual.reshape(-1, 2), axis=1)
+            usual = max(float(np.median(off[used])), noise_px)
+            share = used * np.minimum(1.0, (3.0 * usual / np.maximum(off, 1e-12)) ** 2)
+        freedom = max(2 * np.count_nonzero(used) - MOTION_UNKNOWNS, 1)
+        return b, precision, float(residual @ (weight * residual)) / freedom
+
     def masked(self, found: BoolArray) -> "CameraMotion":
         """Return the same with no shift where ``found`` (2n,) is false."""
         return self if found.all() else replace(self, first=self.first * found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkedMotion:
+    """Motion of the cameras since the rest frame as reference marks show it.
+
+    Attributes
+    ----------
+    mean : (q,) float
+        The motion.
+    precision : (q, q) float
+        Its inverse covariance, the mount's prior included.
+    marked : (q,) bool
+        Unknowns of cameras that see enough marks.
+    """
+
+    mean: FloatArray
+    precision: FloatArray
+    marked: BoolArray
 
 
 def tabulate_camera_motion(

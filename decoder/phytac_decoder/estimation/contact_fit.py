@@ -99,11 +99,14 @@ class ShiftObservation:
         Where it was found.
     koi : (m,) int
         Markers whose switch is on.
+    camera_motion : CameraMotion, optional
+        Shifts by motion of the cameras, with its prior in this frame.
     """
 
     shift_px: FloatArray
     found: BoolArray
     koi: IntArray
+    camera_motion: CameraMotion | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +180,6 @@ def fit_contacts(
     *,
     prior: ContactPrior,
     noise: ShiftNoise,
-    camera_motion: CameraMotion | None = None,
     motion: FloatArray | None = None,
     unweighted: int = SETTINGS.unweighted_iterations,
     iterations: int = SETTINGS.iterations_max,
@@ -189,17 +191,16 @@ def fit_contacts(
 
     Parameters
     ----------
-    camera_motion : CameraMotion, optional
-        Shifts by motion of the cameras, which is estimated with the contacts.
     motion : (q,) float, optional
-        Its first estimate; none if not given.
+        First estimate of the motion of the cameras, which is estimated with the contacts.
     """
+    camera_motion = seen.camera_motion
     b = np.zeros(camera_motion.count if camera_motion else 0) if motion is None else motion.copy()
     split = UNKNOWNS * len(states)
-    weight = np.zeros(split + len(b))
-    weight[:split] = _prior_sd(states, prior).ravel() ** -2.0
+    weight = np.zeros((split + len(b), split + len(b)))
+    weight[:split, :split] = np.diag(_prior_sd(states, prior).ravel() ** -2.0)
     if camera_motion:
-        weight[split:] = camera_motion.sd**-2.0
+        weight[split:, split:] = camera_motion.prior
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
     cache = InteractionCache(pairs=places.pairs) if places.pairs else None
     change, robust = np.inf, False
@@ -223,11 +224,11 @@ def fit_contacts(
             inverse = inverse * share
             settled = change < SETTINGS.step_tolerance and (robust or bool((share == 1.0).all()))
             robust = True
-        hessian = (slope * inverse) @ slope.T + np.diag(weight)
+        hessian = (slope * inverse) @ slope.T + weight
         # Ends where everything that is returned has been computed.
         if settled or number == iterations or not len(weight):
             break
-        step = np.linalg.solve(hessian, slope @ (inverse * residual) - weight * off)
+        step = np.linalg.solve(hessian, slope @ (inverse * residual) - weight @ off)
         b += step[split:]
         change = _take_step(places, states, step[:split])
     covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
@@ -236,7 +237,7 @@ def fit_contacts(
         predicted_px=total,
         inverse=inverse,
         covariance=covariance[:split, :split],
-        cost=square + float(off @ (weight * off)),
+        cost=square + float(off @ (weight @ off)),
         reduced_chi2=square / max(int(seen.found.sum()) - split, 1),
         motion=b,
         motion_sd=np.sqrt(covariance.diagonal()[split:]),

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from phytac_decoder.camera.camera_motion import CameraMotion
+from phytac_decoder.camera.camera_motion import CameraMotion, MarkedMotion
 from phytac_decoder.estimation.cascade_network import CascadeNetwork, network_features
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.estimation.locator import ContactLocator
@@ -82,11 +82,17 @@ class ForceModel:
         return "koi_inverse" if self.locator is None else "auto"
 
     def contacts(
-        self, shift_px: FloatArray, koi: IntArray, *, before: ContactDetection | None = None
+        self,
+        shift_px: FloatArray,
+        koi: IntArray,
+        *,
+        before: ContactDetection | None = None,
+        marked: MarkedMotion | None = None,
     ) -> ContactDetection:
         """Return the contacts behind shifts (n, 2) px: place, size, force, standard deviation.
 
         ``before`` is the result of the frame before, for a warm start, which is much faster.
+        ``marked`` is the motion that was taken off the shifts, of which its spread remains.
 
         Raises
         ------
@@ -99,7 +105,10 @@ class ForceModel:
                 "this bundle has no tables to find contacts with (estimator auto); build the "
                 "design again",
             )
-        return self.locator.find(shift_px, koi, before=before)
+        motion = self.camera_motion
+        if motion and marked:
+            motion = replace(motion, precision=marked.precision)
+        return self.locator.find(shift_px, koi, before=before, camera_motion=motion)
 
     def apparent_mm(self, shift_px: FloatArray) -> FloatArray:
         """Return the apparent u (n,) mm, positive inward, of pixel shifts (n, 2)."""

@@ -134,7 +134,12 @@ class ContactLocator:
         return np.asarray(self._first**2)
 
     def find(
-        self, shift_px: FloatArray, koi: IntArray, *, before: ContactDetection | None = None
+        self,
+        shift_px: FloatArray,
+        koi: IntArray,
+        *,
+        before: ContactDetection | None = None,
+        camera_motion: CameraMotion | None = None,
     ) -> ContactDetection:
         """Return the contacts behind shifts (n, 2) px, NaN where a marker was not found.
 
@@ -146,10 +151,17 @@ class ContactLocator:
         ----------
         koi : (m,) int
             Markers whose switch is on.
+        camera_motion : CameraMotion, optional
+            With the prior of this frame; the sensor's own by default.
         """
         d = np.asarray(shift_px, dtype=np.float64).reshape(-1)
         found = np.isfinite(d)
-        seen = ShiftObservation(shift_px=np.where(found, d, 0.0), found=found, koi=koi)
+        seen = ShiftObservation(
+            shift_px=np.where(found, d, 0.0),
+            found=found,
+            koi=koi,
+            camera_motion=camera_motion or self.camera_motion,
+        )
         state = self._warm_start(before.state, seen) if before and before.state else None
         if state is None:
             best = self._fit_switched(seen) if len(koi) else self._fit([], seen)
@@ -269,7 +281,6 @@ class ContactLocator:
             seen,
             prior=self.prior,
             noise=self.noise,
-            camera_motion=self.camera_motion,
             motion=before.motion if before else None,
             unweighted=0 if before else cold.unweighted_iterations,
             iterations=SETTINGS.warm_start_iterations if before else cold.iterations_max,
@@ -284,9 +295,9 @@ class ContactLocator:
         """Return the force (m,) N on each switch that is on, by the compliance inverse."""
         rows = self._rows[seen.koi] * seen.found
         free = rows
-        if self.camera_motion:
+        if seen.camera_motion:
             noise = float(np.median(self.noise.each_px))
-            free = self.camera_motion.masked(seen.found).free_of_motion(rows, noise)
+            free = seen.camera_motion.masked(seen.found).free_of_motion(rows, noise)
         return nonnegative_least_squares(free @ rows.T, free @ seen.shift_px)
 
     def _split(

@@ -8,6 +8,7 @@ removes fields or changes their meaning.
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from hashlib import file_digest
 from operator import attrgetter
 from pathlib import Path
@@ -18,13 +19,19 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.camera.camera_motion import MOUNTS, Mount, tabulate_camera_motion
+from phytac_decoder.camera.camera_motion import (
+    MOUNTS,
+    CameraMotion,
+    Mount,
+    tabulate_camera_motion,
+)
 from phytac_decoder.estimation.cascade_network import ACTIVATIONS, INPUTS, CascadeNetwork
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.force_regions import Region, regions_from_table, regions_to_table
 from phytac_decoder.io.bundle_camera import camera_from, camera_table
 from phytac_decoder.io.bundle_check import (
     ARRAYS,
+    MARKS,
     SHOWN,
     bounded,
     check_bundle,
@@ -35,13 +42,14 @@ from phytac_decoder.io.bundle_check import (
 )
 from phytac_decoder.io.bundle_locator import locator_arrays, locator_from, locator_table
 from phytac_decoder.io.sensor_limits import NOISE_SHARE_MAX, check_scene, limits_of, markers_in_play
+from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 11), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 13), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -102,6 +110,11 @@ class Bundle:
         View of each of two cameras; empty for one camera.
     regions : tuple of Region
         Named parts of the surface, such as fingers.
+    marks : ReferenceMarks
+        Dots on the clamped rims; none in a sensor without.
+    turned_deg : float
+        Angle by which the shell sits turned about the axis against the design, where reference
+        marks show it.
     notes : dict
         Provenance: training data, seconds, accuracy. The decoder uses only ``scene``.
     """
@@ -123,12 +136,50 @@ class Bundle:
     force_max_N: float = 25.0
     shown: tuple[CameraView, ...] = ()
     regions: tuple[Region, ...] = ()
+    marks: ReferenceMarks = field(default_factory=ReferenceMarks)
+    turned_deg: float = 0.0
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
     def camera(self) -> Camera:
         """The camera; the near end's of two."""
         return self.cameras[0]
+
+    @property
+    def spot_colour(self) -> IntArray:
+        """Class of the paint of each marker, then of each reference mark, (n + r,)."""
+        return np.append(self.colour, self.marks.colour)
+
+    @property
+    def spot_read_by(self) -> IntArray:
+        """Camera that reads each marker and reference mark, (n + r,)."""
+        return np.append(self.read_by, self.marks.read_by)
+
+    @property
+    def spot_neighbours(self) -> IntArray:
+        """Neighbours of each marker and reference mark, (n + r, 8)."""
+        return with_marks(self.model.neighbours, self.marks.neighbours)
+
+    @property
+    def spot_rest_px(self) -> FloatArray:
+        """Predicted rest positions of markers and reference marks, (n + r, 2)."""
+        return np.concatenate([self.rest_px, self.marks.rest_px])
+
+    def spots_shown_by(self, number: int) -> FloatArray:
+        """Return the same (n + r, 2) in one camera's image; NaN for what it does not show."""
+        own = (self.marks.read_by == number)[:, None]
+        marks = np.where(own, self.marks.rest_px, np.nan)
+        return np.concatenate([self.shown_by(number).rest_px, marks])
+
+    @cached_property
+    def mark_motion(self) -> CameraMotion | None:
+        """Shifts of the reference marks by motion of the cameras; None without marks."""
+        motion = self.model.camera_motion
+        if motion is None or not self.marks.count:
+            return None
+        marks = self.marks
+        table = tabulate_camera_motion(self.cameras, marks.read_by, marks.point_mm, MOUNTS["bench"])
+        return replace(table, sd=motion.sd)
 
     def shown_by(self, number: int) -> CameraView:
         """Return the view of a camera."""
@@ -202,6 +253,8 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         arrays |= locator_arrays(model.locator)
     if bundle.regions:
         meta["regions"] = regions_to_table(bundle.regions)
+    if bundle.marks.count:
+        arrays |= {name: getattr(bundle.marks, name[5:]) for name in MARKS}
     if bundle.shown:
         attributes = ("rest_px", *(f"tips.{attribute}" for attribute in TIPS.values()))
         for name, attribute in zip(SHOWN, attributes, strict=True):
@@ -348,6 +401,7 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         networks=meta["networks"],
         folder=folder,
     )
+    marks = ReferenceMarks(**{name[5:]: arrays[name] for name in MARKS if name in arrays})
     model = ForceModel(
         shift_to_mm=arrays["shift_to_mm"],
         stiffness=arrays["stiffness"],
@@ -385,6 +439,8 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         shown=tuple(_view(arrays, number) for number in range(len(tables))) if tables[1:] else (),
         # Up to schema 1.4 there were none.
         regions=regions_from_table(meta.get("regions", []), count),
+        # Up to schema 1.12 there were none.
+        marks=marks,
         notes=dict(meta["notes"]),
     )
     check_scene(bundle)

@@ -36,6 +36,15 @@ SHOWN: dict[str, tuple[int | str, ...]] = {
 }
 """Further arrays of a bundle of two cameras, the view of each, and their shapes."""
 
+MARKS: dict[str, tuple[int | str, ...]] = {
+    "mark_point_mm": ("r", 3),
+    "mark_colour": ("r",),
+    "mark_rest_px": ("r", 2),
+    "mark_read_by": ("r",),
+    "mark_neighbours": ("r", 8),
+}
+"""Further arrays of a bundle of a sensor with r reference marks."""
+
 
 def check_bundle(
     arrays: Mapping[str, Any],
@@ -63,16 +72,23 @@ def check_bundle(
         )
     shapes = {name: shape for name, (_, shape) in ARRAYS.items()}
     shapes |= {f"network.{name}": (parameter_count(),) for name in sorted(networks)}
+    shapes |= SHOWN if cameras == 2 else {}
+    shapes |= MARKS if "mark_point_mm" in arrays else {}
+    ids = {"neighbours": (-1, n), "colour": (0, colours), "read_by": (0, cameras)}
+    if "mark_point_mm" in arrays:
+        r = len(np.atleast_1d(arrays["mark_point_mm"]))
+        ids |= {"mark_neighbours": (-1, r), "mark_colour": ids["colour"]}
+        ids |= {"mark_read_by": ids["read_by"]}
     check_arrays(
         arrays,
-        shapes | SHOWN if cameras == 2 else shapes,
+        shapes,
         {"n": n, "2n": 2 * n},
         where=where,
-        kinds=dict.fromkeys(("colour", "neighbours", "read_by"), np.int64),
+        kinds=dict.fromkeys(ids, np.int64),
         # NaN marks what a camera does not see.
-        partial=("tip_on_px", "shown_rest_px", "shown_tip_on_px"),
+        partial=("tip_on_px", "shown_rest_px", "shown_tip_on_px", "mark_rest_px"),
     )
-    for name, low, high in (("neighbours", -1, n), ("colour", 0, colours), ("read_by", 0, cameras)):
+    for name, (low, high) in ids.items():
         if arrays[name].min(initial=low) < low or arrays[name].max(initial=low) >= high:
             raise InputError(
                 "bundle-id-invalid",

@@ -94,11 +94,15 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     """
     frames = one_frame_per_camera(bundle, rest_frames)
     lit = replace(bundle, colours=calibrated_colours(bundle, frames))
-    shown = []
+    shown, count, marks_px = [], len(bundle.colour), lit.marks.rest_px
     for number, frame in enumerate(frames):
         old = lit.shown_by(number)
         matched, _ = locate_in(lit, number, frame)
-        move = np.where(matched.found[:, None], matched.position_px - old.rest_px, 0.0)
+        moved = np.where(
+            matched.found[:, None], matched.position_px - lit.spots_shown_by(number), 0
+        )
+        move, of_marks = moved[:count], moved[count:]
+        marks_px = marks_px + of_marks
         tips = replace(old.tips, on_px=old.tips.on_px + move)
         shown.append(CameraView(rest_px=old.rest_px + move, tips=tips))
     own = np.arange(len(bundle.colour))
@@ -109,6 +113,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     return replace(
         lit,
         shown=tuple(shown) if bundle.shown else (),
+        marks=replace(lit.marks, rest_px=marks_px),
         rest_px=read([item.rest_px for item in shown]),
         tips=replace(bundle.tips, on_px=read([item.tips.on_px for item in shown])),
     )

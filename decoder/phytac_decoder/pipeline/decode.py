@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from phytac_decoder.camera.camera_motion import MarkedMotion
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_words
@@ -37,12 +38,15 @@ class FrameMeasurement:
         Markers that were seen.
     merged : (k,) int
         Markers that were left out because their paint is one with another's.
+    marked : MarkedMotion, optional
+        Motion of the cameras by reference marks, which is taken off the shifts.
     """
 
     koi: IntArray
     shift_px: FloatArray
     found: BoolArray
     merged: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    marked: MarkedMotion | None = None
 
     def forces_N(self, bundle: Bundle, estimator: str) -> FloatArray:
         """Inward force (n,) N on each marker; zero off the key nodes of interest."""
@@ -77,6 +81,11 @@ class FrameMeasurement:
                 f"only {int(self.found.sum())} of {len(self.found)} markers were found; check "
                 "light, focus and what stands before the camera"
             )
+        if bundle.marks.count and self.marked is None:
+            out.append(
+                "the reference marks do not show the camera's motion: too few were found, or not "
+                "where any motion puts them; clean them, and take a new rest frame"
+            )
         moved = self.moved_cameras(bundle, found)
         out += moved
         elsewhere = self.koi[~markers_in_play(bundle)[self.koi]]
@@ -103,10 +112,12 @@ class FrameMeasurement:
         camera, motion = bundle.model.camera_motion, self._motion(bundle, found)
         if camera is None or not len(motion):
             return []
+        if self.marked:
+            motion = motion + self.marked.mean
         return [
             f"{text} since the rest frame, more than its mount allows; take a new rest frame, and "
             "fasten the camera (--mount handheld allows for more)"
-            for text in camera.excess(motion)
+            for text in camera.excess(motion, self.marked and self.marked.marked)
         ]
 
     def _motion(self, bundle: Bundle, found: ContactDetection | None) -> FloatArray:
@@ -170,7 +181,9 @@ def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ..
 
 
 def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
-    """Marker positions and switches (n,), each marker through the camera that reads it.
+    """Positions of markers and reference marks (n + r, 2), and switches (n,).
+
+    Each is seen through the camera that reads it.
 
     Raises
     ------
@@ -180,16 +193,17 @@ def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
     """
     images = one_frame_per_camera(bundle, frames)
     each = [locate_in(bundle, number, image) for number, image in enumerate(images)]
-    position, merged, switch_on = (
-        np.stack(part)[bundle.read_by, np.arange(len(bundle.colour))]
-        for part in zip(*((found.position_px, found.merged, on) for found, on in each), strict=True)
+    position, merged = (
+        np.stack(part)[bundle.spot_read_by, np.arange(len(bundle.spot_colour))]
+        for part in zip(*((found.position_px, found.merged) for found, _ in each), strict=True)
     )
+    switch_on = np.stack([on for _, on in each])[bundle.read_by, np.arange(len(bundle.colour))]
     found = np.isfinite(position[:, 0])
     return Matched(position_px=position, found=found, merged=merged), switch_on
 
 
 def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
-    """Positions (px) and switches of all markers that one camera shows.
+    """Positions (n + r, 2) px of markers and marks that one camera shows, and switches (n,).
 
     Those that another camera reads are included, so that their paint is not assigned to a marker
     beside them.
@@ -207,11 +221,12 @@ def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Match
         )
     matched = match_markers(
         blobs,
-        rest_px=shown.rest_px,
-        colour=bundle.colour,
-        neighbours=bundle.model.neighbours,
+        rest_px=bundle.spots_shown_by(number),
+        colour=bundle.spot_colour,
+        neighbours=bundle.spot_neighbours,
     )
-    found = matched.found[bundle.read_by == number]
+    count = len(bundle.colour)
+    found = matched.found[:count][bundle.read_by == number]
     if len(found) and found.mean() < FOUND_MIN:
         order = ", in the right order" if len(bundle.cameras) > 1 else ""
         raise InputError(
@@ -219,7 +234,7 @@ def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Match
             f"found {int(found.sum())} of {len(found)} markers{bundle.of_camera(number)}; is this "
             f"a frame of the sensor {bundle.design!r}, lit and in focus{order}?",
         )
-    own = np.where(matched.merged[:, None], np.nan, matched.position_px)
+    own = np.where(matched.merged[:, None], np.nan, matched.position_px)[:count]
     switch_on = read_switches(
         blobs,
         shown.tips,
@@ -230,11 +245,14 @@ def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Match
 
 
 def rest_positions(bundle: Bundle, rest_bgr: Frames | None) -> FloatArray:
-    """Rest positions (n, 2) px, measured in the unloaded frames if there are any."""
+    """Rest positions (n + r, 2) px of markers and reference marks.
+
+    They are measured in the unloaded frames if there are any.
+    """
     if rest_bgr is None:
-        return bundle.rest_px
+        return bundle.spot_rest_px
     matched, _ = locate_markers(bundle, rest_bgr)
-    return np.where(matched.found[:, None], matched.position_px, bundle.rest_px)
+    return np.where(matched.found[:, None], matched.position_px, bundle.spot_rest_px)
 
 
 def measure_frame(
@@ -248,9 +266,10 @@ def measure_frame(
         The sensor's decoder.
     image_bgr : (h, w, 3) uint8, or a sequence of them
         Camera frame; of several cameras one of each, in the bundle's order (near end first).
-    rest_px : (n, 2) float, optional
+    rest_px : (n + r, 2) float, optional
         From :func:`rest_positions`; the bundle's prediction if not given. Each marker in the
-        frame of the camera that reads it.
+        frame of the camera that reads it. Of (n, 2) for the markers alone, reference marks do not
+        count.
 
     Raises
     ------
@@ -258,25 +277,37 @@ def measure_frame(
         See :func:`locate_markers`.
     """
     matched, switch_on = locate_markers(bundle, image_bgr)
-    rest = bundle.rest_px if rest_px is None else rest_px
-    moved = np.where(matched.merged[:, None], np.nan, matched.position_px) - rest
-    koi, shift = corrected_shift(bundle, switch_on, moved)
+    rest = bundle.spot_rest_px if rest_px is None else rest_px
+    position = np.where(matched.merged[:, None], np.nan, matched.position_px)
+    koi, shift, marked = corrected_shift(bundle, switch_on, position[: len(rest)] - rest)
+    count = len(bundle.colour)
     return FrameMeasurement(
         koi=koi,
         shift_px=shift,
-        found=matched.found & ~matched.merged,
-        merged=np.flatnonzero(matched.merged),
+        found=np.isfinite(position[:count, 0]),
+        merged=np.flatnonzero(matched.merged[:count]),
+        marked=marked,
     )
 
 
 def corrected_shift(
     bundle: Bundle, switch_on: BoolArray, moved_px: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Key nodes (m,), and shifts (n, 2) px without the bias of the tips that are out."""
+) -> tuple[IntArray, FloatArray, MarkedMotion | None]:
+    """Key nodes (m,), shifts (n, 2) px, and the motion of the cameras by reference marks.
+
+    Shifts are those ``moved_px`` (n + r, 2) of markers and marks less the bias of the tips that are
+    out and that motion.
+    """
+    marked, count = None, len(bundle.colour)
+    if bundle.mark_motion and len(moved_px) > count:
+        marked = bundle.mark_motion.estimate_by_marks(moved_px[count:], bundle.model.noise_px)
+    moved_px = moved_px[:count]
+    if marked:
+        moved_px = bundle.model.without_motion(moved_px, marked.mean)
     shift = moved_px - np.where(switch_on[:, None], bundle.tip_bias_px, 0.0)
     switch_on = confirmed_switches(bundle, switch_on, shift)
     bias = np.where(switch_on[:, None], bundle.tip_bias_px, 0.0)
-    return np.flatnonzero(switch_on), moved_px - bias
+    return np.flatnonzero(switch_on), moved_px - bias, marked
 
 
 def confirmed_switches(bundle: Bundle, switch_on: BoolArray, shift_px: FloatArray) -> BoolArray:

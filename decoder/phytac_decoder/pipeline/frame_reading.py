@@ -91,7 +91,7 @@ def read(
     koi = measured.koi
     if estimator == "auto":
         last = before.found if before else None
-        found = bundle.model.contacts(measured.shift_px, koi, before=last)
+        found = bundle.model.contacts(measured.shift_px, koi, before=last, marked=measured.marked)
         moved = measured.moved_cameras(bundle, found)
         if moved:
             return Reading.none("; ".join(moved), "camera-moved")

@@ -155,7 +155,7 @@ class Follower:
             for number, frame in enumerate(one_frame_per_camera(bundle, rest))
         ]
         measured = self._read([each.rest_px for each in self._cameras])
-        self.rest_px = np.where(np.isfinite(measured), measured, bundle.rest_px)
+        self.rest_px = np.where(np.isfinite(measured), measured, bundle.spot_rest_px)
 
     @property
     def pixels(self) -> int:
@@ -185,26 +185,29 @@ class Follower:
             for camera, frame in zip(self._cameras, given, strict=True)
         ]
         position = self._read([item.position_px for item in seen])
-        switch_on = self._read([item.switch_on for item in seen])
-        koi, shift = corrected_shift(bundle, switch_on, position - self.rest_px)
+        count = len(bundle.colour)
+        switch_on = self._read([item.switch_on for item in seen])[:count]
+        koi, shift, marked = corrected_shift(bundle, switch_on, position - self.rest_px)
         return Followed(
             koi=koi,
             shift_px=shift,
-            found=np.isfinite(position[:, 0]),
-            position_px=position,
-            paint=self._read([item.paint for item in seen]),
+            found=np.isfinite(position[:count, 0]),
+            marked=marked,
+            position_px=position[:count],
+            paint=self._read([item.paint for item in seen])[:count],
             flags=tuple(flag for item in seen for flag in item.flags),
         )
 
     def _read(self, each: list[NDArray[Any]]) -> NDArray[Any]:
-        """Values of each marker from the camera that reads it."""
+        """Values of each marker and reference mark from the camera that reads it."""
         if len(each) == 1:
             return each[0]
-        return np.asarray(np.stack(each)[self._bundle.read_by, np.arange(len(self._bundle.colour))])
+        reader = self._bundle.spot_read_by
+        return np.asarray(np.stack(each)[reader, np.arange(len(reader))])
 
 
 class Observed(NamedTuple):
-    """What one camera's frame shows of all n markers of the bundle, as in ``Followed``."""
+    """What one camera's frame shows of the bundle's n markers and r reference marks."""
 
     position_px: FloatArray
     switch_on: BoolArray
@@ -213,12 +216,12 @@ class Observed(NamedTuple):
 
 
 class CameraFollower:
-    """Follows the m markers that one camera of a bundle shows, from a rest frame on.
+    """Follows the m markers and marks that one camera of a bundle shows, from a rest frame on.
 
     Attributes
     ----------
     ids : (m,) int
-        Markers of the bundle.
+        Markers of the bundle, then its reference marks, numbered on.
     place_px : (m, 2) float
         Where they are now.
     paint, red : PaintWindows
@@ -226,20 +229,20 @@ class CameraFollower:
     """
 
     def __init__(self, bundle: Bundle, number: int, rest: ImageArray, stride: int) -> None:
-        self._bundle, self._number, shown = bundle, number, bundle.shown_by(number)
+        self._bundle, self._number, shown_px = bundle, number, bundle.spots_shown_by(number)
         camera, frame = bundle.cameras[number], np.ascontiguousarray(rest)
         self._size = (camera.width_px, camera.height_px)
         # How far windows reach beyond the paint at rest, for motion from one frame to the next:
         # 1 px in an image 640 px wide, 3 px in one of 2592 px.
         self._margin = 0.4 + 1e-3 * camera.width_px
-        self.ids = ids = np.flatnonzero(np.isfinite(shown.rest_px).all(axis=1))
-        colour = bundle.colour[ids]
-        self._shown_px = shown.rest_px[ids]
+        self.ids = ids = np.flatnonzero(np.isfinite(shown_px).all(axis=1))
+        colour = bundle.spot_colour[ids]
+        self._shown_px = shown_px[ids]
         self._spacing = nearest_same_colour_px(self._shown_px, colour)
         # Neighbours (m, 8) and rivals (m, r) are numbered as ``ids``; m for none.
-        order = np.full(len(bundle.colour) + 1, len(ids))
+        order = np.full(len(bundle.spot_colour) + 1, len(ids))
         order[ids] = np.arange(len(ids))
-        self._neighbours = order[bundle.model.neighbours[ids]]
+        self._neighbours = order[bundle.spot_neighbours[ids]]
         self._around = np.ascontiguousarray(self._neighbours.T)
         place = self._searched(frame)
         self._rivals = nearest_rivals(place, colour)
@@ -283,12 +286,13 @@ class CameraFollower:
         least = np.maximum(SETTINGS.paint_share * self._full, SETTINGS.paint_px)
         self._paint_min = np.where(separable, least, np.inf)
         self._retried = separable & (self._full >= SETTINGS.retry_paint_px)
-        self._read_here = (self._bundle.read_by[self.ids] == self._number) & separable
+        self._read_here = (self._bundle.spot_read_by[self.ids] == self._number) & separable
 
     def _set_up_tips(self, frame: ImageArray, table: FloatArray) -> None:
         """Choose the tips that can show, their windows and thresholds; read them at rest."""
         tips = self._bundle.shown_by(self._number).tips
-        on_px, area = tips.on_px[self.ids], tips.red_on_px[self.ids]
+        markers = self.ids[self.ids < len(self._bundle.colour)]  # they come first
+        on_px, area = tips.on_px[markers], tips.red_on_px[markers]
         self._tips = own = np.flatnonzero(np.isfinite(on_px[:, 0]) & (area > RED_AREA_MIN_px))
         across, red = np.sqrt(area[own]), np.zeros(len(own), dtype=np.int64)
         self.red = PaintWindows(
@@ -444,8 +448,8 @@ class CameraFollower:
         )
 
     def _of_bundle(self, values: NDArray[Any], fill: float) -> NDArray[Any]:
-        """Values of all markers of the bundle from those (m, …) of the ones shown here."""
-        out = np.full((len(self._bundle.colour), *values.shape[1:]), fill, dtype=values.dtype)
+        """Values of all markers and marks of the bundle from those (m, …) that are shown here."""
+        out = np.full((len(self._bundle.spot_colour), *values.shape[1:]), fill, dtype=values.dtype)
         out[self.ids] = values
         return out
 

@@ -11,10 +11,10 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, CameraView
 from phytac_decoder.vision.matching import match_markers
+from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import Blobs, ColourModel, segment
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
@@ -22,7 +22,13 @@ from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import owner_sums, rasterise
 from phytac_design.optics.render_scene import RenderScene, build_scene, red_owner
-from phytac_design.optics.visibility import Visibility, best_of, measure_visibility
+from phytac_design.optics.visibility import (
+    MarkVisibility,
+    Visibility,
+    best_of,
+    mark_visibility,
+    measure_visibility,
+)
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
 from phytac_design.simulation.imaging.virtual_camera import bar_strip
 from phytac_design.simulation.linear_response import rigid_slope
@@ -41,11 +47,14 @@ class ExpectedView:
         Shift of a marker's centroid by its red tip alone: the tip covers some of its paint.
     tips : TipModel
         Red of each tip.
+    marks_px : (r, 2) float
+        Positions of reference marks; NaN where not found.
     """
 
     rest_px: FloatArray
     tip_bias_px: FloatArray
     tips: TipModel
+    marks_px: FloatArray
 
 
 def colour_model(design: Design) -> tuple[ColourModel, IntArray]:
@@ -56,13 +65,13 @@ def colour_model(design: Design) -> tuple[ColourModel, IntArray]:
 
 
 def measure_expected(
-    design: Design,
-    markers: Markers,
+    sensor: Sensor,
     *,
     rest_frame: ImageArray,
     on_frame: ImageArray,
     marker_px: FloatArray,
     red_px: FloatArray,
+    mark_px: FloatArray,
 ) -> ExpectedView:
     """Measure rest positions, tip bias and red areas in two noise-free frames.
 
@@ -73,17 +82,23 @@ def measure_expected(
     marker_px, red_px : (n, 2) float
         Exact centroids of the visible paint at rest, and of the visible red with switches on
         (NaN where none), from the ID map.
+    mark_px : (r, 2) float
+        The same of the reference marks.
     """
-    model, classes = colour_model(design)
-    colour = classes[markers.colour]
+    markers, marks, n = sensor.markers, sensor.reference_marks, sensor.markers.count
+    model, classes = colour_model(sensor.design)
+    colour = classes[np.append(markers.colour, np.zeros(marks.count, dtype=np.int64))]
     seen = [
         match_markers(
-            segment(frame, model), rest_px=marker_px, colour=colour, neighbours=markers.neighbours
+            segment(frame, model),
+            rest_px=np.concatenate([marker_px, mark_px]),
+            colour=colour,
+            neighbours=with_marks(markers.neighbours, marks.neighbours),
         )
         for frame in (rest_frame, on_frame)
     ]
-    rest = np.where(seen[0].found[:, None], seen[0].position_px, marker_px)
-    bias = np.nan_to_num(seen[1].position_px - rest)
+    rest = np.where(seen[0].found[:n, None], seen[0].position_px[:n], marker_px)
+    bias = np.nan_to_num(seen[1].position_px[:n] - rest)
     red = model.names.index("red")
     rest_area = _red_area(segment(rest_frame, model, area_min_px=1), red, red_px)
     on_area = _red_area(segment(on_frame, model, area_min_px=1), red, red_px)
@@ -91,6 +106,7 @@ def measure_expected(
         rest_px=rest,
         tip_bias_px=bias,
         tips=TipModel(on_px=red_px, red_rest_px=rest_area, red_on_px=on_area),
+        marks_px=seen[0].position_px[n:],
     )
 
 
@@ -121,6 +137,8 @@ class Shot:
         Noise-free frames.
     seen : Visibility
         Of the markers.
+    marks : MarkVisibility
+        Of the reference marks.
     expected : ExpectedView
         What the decoder's marker detector finds in the frames.
     """
@@ -130,6 +148,7 @@ class Shot:
     on: RenderScene
     frames: tuple[ImageArray, ImageArray]
     seen: Visibility
+    marks: MarkVisibility
     expected: ExpectedView
 
 
@@ -141,7 +160,7 @@ def look(
     A marker that shows nowhere is expected where its tip would be, as long as no other camera may
     see it, else nowhere (NaN). ``noise_std`` is that of the frame that decides on fusion.
     """
-    design, markers = sensor.design, sensor.markers
+    markers = sensor.markers
     tolerance = tolerance_mm(camera, markers)
     rest, on = (
         build_scene(sensor, tolerance_mm=tolerance, switch_on=np.full(markers.count, state))
@@ -151,16 +170,25 @@ def look(
     away = camera.project(markers.tip_mm) if len(sensor.cameras) == 1 else np.nan
     place = np.where(seen.lost[:, None], away, seen.centroid_px)
     frames = (render_frame(rest, camera), render_frame(on, camera))
+    marks = mark_visibility(sensor, rest, camera, frames[0])
     expected = measure_expected(
-        design,
-        markers,
+        sensor,
         rest_frame=frames[0],
         on_frame=frames[1],
         marker_px=place,
         red_px=owner_centroids(red_owner(rasterise(on, camera).part), markers.count),
+        mark_px=np.where(marks.clear[:, None], marks.centroid_px, np.nan),
     )
     expected = replace(expected, rest_px=np.where(seen.lost[:, None], place, expected.rest_px))
-    return Shot(camera=camera, rest=rest, on=on, frames=frames, seen=seen, expected=expected)
+    return Shot(
+        camera=camera,
+        rest=rest,
+        on=on,
+        frames=frames,
+        seen=seen,
+        marks=marks,
+        expected=expected,
+    )
 
 
 def view_arrays(sensor: Sensor, shots: Sequence[Shot]) -> tuple[Visibility, dict[str, Any]]:
@@ -178,7 +206,13 @@ def view_arrays(sensor: Sensor, shots: Sequence[Shot]) -> tuple[Visibility, dict
     ]
     tips = [shot.expected.tips for shot in shots]
     bias = np.stack([shot.expected.tip_bias_px for shot in shots])
+    visible = np.stack([shot.marks.clear * shot.marks.visible_px for shot in shots])
+    mark_camera, own = visible.argmax(axis=0), np.arange(visible.shape[1])
     return best, {
+        "mark_camera": mark_camera,
+        "mark_visible_px": np.stack([shot.marks.visible_px for shot in shots]).max(axis=0),
+        "mark_clear": visible.max(axis=0) > 0,
+        "mark_rest_px": np.stack([shot.expected.marks_px for shot in shots])[mark_camera, own],
         "camera": number,
         "tip_bias_px": bias[number, np.arange(markers.count)],
         "shown_rest_px": np.stack(rest),
@@ -239,6 +273,18 @@ def owner_centroids(owner: NDArray[np.int32], count: int) -> FloatArray:
     """Centroid (n, 2) px of each marker's pixels in an owner image, NaN where none."""
     sums = owner_sums(owner, count)
     return np.asarray(sums[:, 1:] / np.where(sums[:, :1] > 0.0, sums[:, :1], np.nan))
+
+
+def bundle_marks(sensor: Sensor, views: Mapping[str, Any]) -> ReferenceMarks:
+    """Reference marks as a bundle holds them."""
+    marks, (_, classes) = sensor.reference_marks, colour_model(sensor.design)
+    return ReferenceMarks(
+        point_mm=marks.point_mm,
+        colour=np.full(marks.count, classes[0]),
+        rest_px=views["mark_rest_px"],
+        read_by=views["mark_camera"],
+        neighbours=marks.neighbours,
+    )
 
 
 def vision_bundle(

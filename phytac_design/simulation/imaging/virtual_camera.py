@@ -44,6 +44,8 @@ class SimulatedCamera:
                 Sensor.of(design, surface, unit.markers),
                 tolerance_mm=tolerance,
                 switch_on=np.full(unit.markers.count, state),
+                # The simulated camera stands still, and the detector expects markers alone.
+                marks=False,
             )
             for state in (False, True)
         )

@@ -1,0 +1,101 @@
+"""Motion of the camera and turn of the shell on a sensor with reference marks, in rendered frames.
+
+The sensor is a design with twelve marks on its near rim; presses, frames and judgement are those of
+:mod:`benchmarks.camera`. ::
+
+    python -m benchmarks.reference_marks [--design cylinder60] [--presses 24] [--dry]
+"""
+
+import argparse
+
+import numpy as np
+
+from benchmarks.camera import Bench, Outcome, decode, moved
+from benchmarks.harness import Table
+from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+from phytac_design.design.design_file import load_design
+from phytac_design.design.layout_table import ReferenceMarksSection
+from phytac_design.design.spec import Design
+
+MOTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], float]] = {
+    "shift x 0.1 mm": ((0.1, 0, 0), (0, 0, 0), 0.0),
+    "shift x 0.3 mm": ((0.3, 0, 0), (0, 0, 0), 0.0),
+    "shift z 0.3 mm": ((0, 0, 0.3), (0, 0, 0), 0.0),
+    "tilt 0.3 deg": ((0, 0, 0), (0, 0.3, 0), 0.0),
+    "roll 0.3 deg": ((0, 0, 0), (0, 0, 0.3), 0.0),
+    "zoom 0.3 %": ((0, 0, 0), (0, 0, 0), 0.3),
+}
+"""Translation, mm, rotation, degrees, and change of focal length, %, after the rest frame."""
+
+
+def with_marks(design: Design, count: int = 12) -> Design:
+    """Return the design with reference marks on its near rim."""
+    marks = ReferenceMarksSection(count=count)
+    return design.model_copy(update={"reference_marks": marks, "name": f"{design.name}-marks"})
+
+
+def judged(bench: Bench, bundle: Bundle, shift: object, turn: object, zoom: float) -> Outcome:
+    """Outcome of all presses through a camera that has moved."""
+    camera = bench.context.sensor.cameras[0]
+    through = moved(camera, np.array(shift), np.array(turn, dtype=float), zoom)
+    out = Outcome()
+    for k in range(bench.pressed.contacts.samples):
+        bench.judge(out, k, decode(bundle, bench.frame(k, through)))
+    return out
+
+
+def percent(errors: list[float]) -> float:
+    """Mean of relative errors, %."""
+    return 100.0 * float(np.mean(errors)) if errors else float("nan")
+
+
+def note_of(out: Outcome) -> str:
+    """Counts of an outcome in words."""
+    return (
+        f"{out.frames} frames: {out.refused} refused, {out.warned} with warnings, {out.silent} "
+        f"contacts silently wrong; middle heights {percent(out.middle_errors):.2g} %, whole "
+        f"surface {percent(out.errors):.2g} %; {out.inside} of {out.contacts} forces within their "
+        f"95 % interval, {out.missed} not found"
+    )
+
+
+def add_rows(table: Table, bench: Bench) -> None:
+    """Rows of all motions, against the clean frames."""
+    name, camera = bench.context.design.name, bench.context.sensor.cameras[0]
+    bundle = calibrate_rest(bench.bundle, [bench.frame(None, camera)])
+    clean = judged(bench, bundle, (0, 0, 0), (0, 0, 0), 0.0)
+    case, error = f"{name}, no motion: error at middle heights", percent(clean.middle_errors)
+    table.add(case, error, "%", "", "this command", note=note_of(clean))
+    for motion, (shift, turn, zoom) in MOTIONS.items():
+        out = judged(bench, bundle, shift, turn, zoom)
+        for where, errors, still in (
+            ("middle heights", out.middle_errors, clean.middle_errors),
+            ("whole surface", out.errors, clean.errors),
+        ):
+            table.add(
+                f"{name}, {motion} after the rest frame: error at {where} over the clean one",
+                percent(errors) / percent(still),
+                "",
+                1.2,
+                "project target",
+                "<= 1.2",
+                note_of(out),
+            )
+
+
+def main() -> None:
+    """Run all motions."""
+    parser = argparse.ArgumentParser(description="What reference marks make of camera motion.")
+    parser.add_argument("--design", default="cylinder60")
+    parser.add_argument("--presses", type=int, default=24)
+    parser.add_argument("--dry", action="store_true", help="results are not written")
+    given = parser.parse_args()
+    table = Table("reference_marks", part=given.design)
+    add_rows(table, Bench(with_marks(load_design(given.design)), given.presses))
+    if not given.dry:
+        table.write(order=[given.design])
+
+
+if __name__ == "__main__":
+    main()
