@@ -80,6 +80,16 @@ class CameraSource(Source):
         self._thread = threading.Thread(target=self._read, name="camera", daemon=True)
         self._thread.start()
 
+    @property
+    def locked(self) -> dict[str, float]:
+        """Values of controls that the first camera's driver holds."""
+        return self._devices[0].locked
+
+    @property
+    def refused(self) -> list[str]:
+        """What the drivers did not accept, as clauses."""
+        return [f"{one.device}: {text}" for one in self._devices for text in one.refused]
+
     def restart(self) -> None:
         """Count frames and time from now on; the camera keeps running."""
         with self._news:
