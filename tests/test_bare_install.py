@@ -40,6 +40,14 @@ def bare(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def test_a_camera_is_checked(tmp_path: Path) -> None:
+    decoder, frames = toy_recording(tmp_path, [{}, {}])
+    done = bare(tmp_path, "camera", str(decoder), "--device", str(frames), "--fps", "1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].startswith("ready; next: phytac live")
+    assert "markers 30/30" in done.stdout
+
+
 @pytest.mark.parametrize("command", ["decode", "serve", "live"])
 def test_recordings_are_decoded_served_and_shown(command: str, tmp_path: Path) -> None:
     decoder, frames = toy_recording(tmp_path, [{}, {5: 3.0}, {5: 3.0}])

@@ -210,9 +210,10 @@ def streamed(
 def test_an_unplugged_camera_is_reported_and_comes_back_with_its_settings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    world = install(monkeypatch, VirtualWorld(picture=lambda _: PRESSED), give_up_s=30.0)
+    world = VirtualWorld(picture=lambda _: PRESSED, period_s=0.02)
+    install(monkeypatch, world, give_up_s=30.0)
     reported: list[str] = []
-    away = 0.8
+    away = 1.2
 
     def events(message: Message, number: int) -> None:
         if number == 10:
@@ -237,7 +238,7 @@ def test_an_unplugged_camera_is_reported_and_comes_back_with_its_settings(
     numbers = [message["sequence"] for message in sent]
     assert numbers == sorted(set(numbers))
     # So many frames would have come.
-    assert numbers[sent.index(back)] - 10 > away / 0.05
+    assert numbers[sent.index(back)] - 10 > 0.5 * away / world.period_s
     assert world.last.held[cv2.CAP_PROP_AUTO_EXPOSURE] == MANUAL
     assert world.last.held[cv2.CAP_PROP_EXPOSURE] == 156.0
     assert any("is opened again" in text for text in reported)

@@ -31,6 +31,7 @@ PARSED = {
     "advise": "a minute; tests/study/advice",
     "train": "needs data; tests/test_train.py",
     "evaluate": "needs data; tests/test_evaluate.py",
+    "camera": "needs a camera; tests/decoder/test_camera_check.py",
     "live": "needs a camera; tests/test_cli_live.py",
     "serve": "needs a camera; tests/test_cli_serve.py",
     "calibrate": "needs measurements; tests/test_calibrate_cli.py",
