@@ -104,7 +104,7 @@ def _placed(design: Design, surface: Surface, lift_mm: float) -> PlacedMarks:
     for end in table.end_numbers:
         rim = _Rim(surface, _loops(surface)[end], -design.wall.thickness_mm)
         step = rim.length_mm / table.count
-        # Half a step to dot 1 remains, half of it on the other side of each row.
+        # Half a step remains between dots 0 and 1.
         if step / 2.0 < 1.5 * table.diameter_mm:
             raise DesignError(
                 "reference-marks-crowded",
@@ -112,6 +112,7 @@ def _placed(design: Design, surface: Surface, lift_mm: float) -> PlacedMarks:
                 f"rim of {rim.length_mm:.1f} mm; lower reference_marks.count or diameter_mm",
             )
         along = step * (number + np.where(number == 0, 0.5, 0.0))
+        along = rim.clear_of_corners(along, 1.5 * table.diameter_mm)
         flat = np.column_stack([along, rows])
         outline = (flat[:, None] + circle).reshape(-1, 2)
         parts.append(
@@ -166,6 +167,16 @@ class _Rim:
         if surface.periodic[1]:
             closed[:, 1] = np.unwrap(closed[:, 1], period=float(np.ptp(surface.domain[1])))
         self._columns = np.column_stack([closed, np.concatenate([loop.out, loop.out[:1]])])
+
+    def clear_of_corners(self, along_mm: FloatArray, margin_mm: float) -> FloatArray:
+        """Return distances (n,) along the edge with those near a corner moved away from it."""
+        # A corner of a sheet has several stations in one place.
+        corner = np.unique(self._at[:-1][np.diff(self._at) < 1e-9])
+        for at in corner:
+            off = np.mod(along_mm - at + self.length_mm / 2.0, self.length_mm) - self.length_mm / 2
+            aside = at + np.where(off < 0.0, -margin_mm, margin_mm)
+            along_mm = np.where(np.abs(off) < margin_mm, aside, along_mm)
+        return along_mm
 
     def _interpolated(self, along_mm: FloatArray) -> FloatArray:
         at = np.mod(along_mm, self.length_mm)

@@ -11,6 +11,7 @@ moves determine b, so that it is estimated together with the contacts.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import cv2
@@ -173,46 +174,55 @@ class CameraMotion:
         The table is that of the marks. The mount's prior is widened as far as the marks demand.
         None if no camera sees enough marks, or no motion explains them.
         """
-        found = np.isfinite(shift_px).all(axis=1)
-        marked = np.zeros(self.count, dtype=np.bool_)
-        used = np.zeros(len(found), dtype=np.bool_)
-        for block in np.split(np.arange(self.count), self.count // MOTION_UNKNOWNS):
-            own = np.any(self.first[block].reshape(len(block), -1, 2), axis=(0, 2))
-            if np.count_nonzero(own & found) >= max(MARKS_MIN, np.count_nonzero(own) / 2.0):
-                marked[block], used = True, used | (own & found)
-        if not marked.any():
+        found = np.isfinite(shift_px[:, 0])
+        seen = self._own & found
+        enough = seen.sum(axis=1) >= np.maximum(MARKS_MIN, self._own.sum(axis=1) / 2.0)
+        if not enough.any():
             return None
+        used, marked = seen[enough].any(axis=0), np.repeat(enough, MOTION_UNKNOWNS)
         d = np.where(used[:, None], shift_px, 0.0).reshape(-1)
-        wide = np.tile(MARKED.sd, self.count // MOTION_UNKNOWNS)
-        sd = np.where(marked, np.maximum(wide, self.sd), self.sd)
-        b, precision, _ = self._marked_fit(d, used, sd, noise_px, np.zeros(self.count))
-        spread = np.sqrt(np.diagonal(np.linalg.inv(precision)))
-        demand = (np.abs(b) - 2.0 * spread) / self.sd
-        for block in np.split(np.arange(self.count), self.count // MOTION_UNKNOWNS):
-            sd[block] = self.sd[block] * max(float(demand[block].max()), 1.0)
-        b, precision, chi2 = self._marked_fit(d, used, sd, noise_px, b)
+        wide = np.tile(MARKED.sd, len(enough))
+        prior = np.diag(np.where(marked, np.maximum(wide, self.sd), self.sd) ** -2.0)
+        b, information, chi2 = self._marked_fit(d, used, prior, noise_px)
         if chi2 > MARKS_CHI2_MAX:
             return None
-        return MarkedMotion(mean=b, precision=precision / max(chi2, 1.0), marked=marked)
+        information /= max(chi2, 1.0)
+        posterior = information + prior
+        spread = np.sqrt(np.diagonal(np.linalg.inv(posterior)))
+        demand = ((np.abs(b) - 2.0 * spread) / self.sd).reshape(len(enough), -1).max(axis=1)
+        sd = self.sd * np.repeat(np.maximum(demand, 1.0), MOTION_UNKNOWNS)
+        precision = information + np.diag(sd**-2.0)
+        return MarkedMotion(
+            mean=np.linalg.solve(precision, posterior @ b), precision=precision, marked=marked
+        )
+
+    @cached_property
+    def _own(self) -> BoolArray:
+        """Points (cameras, r) that the motion of each camera moves."""
+        blocks = self.first.reshape(-1, MOTION_UNKNOWNS, self.first.shape[1] // 2, 2)
+        return np.asarray(np.any(blocks, axis=(1, 3)))
 
     def _marked_fit(
-        self, d: FloatArray, used: BoolArray, sd: FloatArray, noise_px: float, b: FloatArray
+        self, d: FloatArray, used: BoolArray, prior: FloatArray, noise_px: float
     ) -> tuple[FloatArray, FloatArray, float]:
-        """Return motion (q,), its precision (q, q) and reduced χ² of marks, robust as above."""
-        share, prior = used.astype(np.float64), np.diag(sd**-2.0)
+        """Return motion (q,), what marks tell of it (q, q) and their reduced χ²; robust."""
+        share, b, residual = used.astype(np.float64), np.zeros(self.count), d
         for _ in range(ROBUST_ITERATIONS):
             weight = np.repeat(share, 2) / noise_px**2
             rows = self.first * weight
-            precision = rows @ self.first.T + prior
+            information = rows @ self.first.T
             # Slopes of first order converge fast enough: the second is a hundredth of it.
+            step = np.linalg.solve(information + prior, rows @ residual - prior @ b)
+            b, old = b + step, share
             residual = d - self.shift_px(b)
-            b = b + np.linalg.solve(precision, rows @ residual - prior @ b)
-            residual = d - self.shift_px(b)
-            off = np.hypot.reduce(residual.reshape(-1, 2), axis=1)
-            usual = max(float(np.median(off[used])), noise_px)
+            off = np.hypot(residual[::2], residual[1::2])
+            usual = max(float(np.sort(off[used])[used.sum() // 2]), noise_px)
             share = used * np.minimum(1.0, (3.0 * usual / np.maximum(off, 1e-12)) ** 2)
+            moved = np.abs(step @ self.first).max()
+            if moved < 0.1 * noise_px and np.abs(share - old).max() < 0.01:
+                break
         freedom = max(2 * np.count_nonzero(used) - MOTION_UNKNOWNS, 1)
-        return b, precision, float(residual @ (weight * residual)) / freedom
+        return b, information, float(residual @ (weight * residual)) / freedom
 
     def masked(self, found: BoolArray) -> "CameraMotion":
         """Return the same with no shift where ``found`` (2n,) is false."""

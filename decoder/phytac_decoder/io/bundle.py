@@ -41,7 +41,13 @@ from phytac_decoder.io.bundle_check import (
     reject_constant,
 )
 from phytac_decoder.io.bundle_locator import locator_arrays, locator_from, locator_table
-from phytac_decoder.io.sensor_limits import NOISE_SHARE_MAX, check_scene, limits_of, markers_in_play
+from phytac_decoder.io.sensor_limits import (
+    NOISE_SHARE_MAX,
+    check_scene,
+    limits_of,
+    markers_in_play,
+    symmetric_turns,
+)
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipModel
@@ -172,6 +178,16 @@ class Bundle:
         return np.concatenate([self.shown_by(number).rest_px, marks])
 
     @cached_property
+    def symmetric_turns(self) -> list[IntArray]:
+        """Turns of the shell that map its markers onto one another; the first is none."""
+        return symmetric_turns(self.position_mm, self.head_mm, self.colour)
+
+    @property
+    def symmetry_order(self) -> int:
+        """Number of turns at which the shell without reference marks looks the same."""
+        return len(self.symmetric_turns)
+
+    @cached_property
     def mark_motion(self) -> CameraMotion | None:
         """Shifts of the reference marks by motion of the cameras; None without marks."""
         motion = self.model.camera_motion
@@ -222,6 +238,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         "design": bundle.design,
         "design_hash": bundle.design_hash,
         "markers": len(bundle.colour),
+        "symmetry_order": bundle.symmetry_order,
         "units": {"length": "mm", "force": "N", "image": "px", "stiffness": "N/mm"},
         # The first camera also by itself: a field keeps its meaning within a major version.
         "camera": camera_table(bundle.camera),

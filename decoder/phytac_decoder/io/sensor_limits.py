@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phytac_decoder.vision.switch_detection import RED_AREA_MIN_px
-from phytac_shapes.arrays import BoolArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from phytac_decoder.io.bundle import Bundle
@@ -14,9 +14,56 @@ NOISE_SHARE_MAX = 0.2
 """Largest noise of a force that can be used, as a share of the greatest force."""
 
 
+def axial_rotation(turns: float) -> FloatArray:
+    """Rotation (3, 3) about +z by a number of full turns."""
+    c, s = np.cos(2.0 * np.pi * turns), np.sin(2.0 * np.pi * turns)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def symmetric_turns(
+    position_mm: FloatArray, head_mm: FloatArray, colour: IntArray
+) -> list[IntArray]:
+    """Turns about the z axis that map markers (n, 3), (n, 3), (n,) onto one another.
+
+    The k-th of s entries is the turn by k / s: the number (n,) of the marker in whose place each
+    marker comes. The first is none.
+    """
+    same_mm = 0.1
+    radius = np.hypot(position_mm[:, 0], position_mm[:, 1])
+    own, count = int(np.argmax(radius)), len(colour)
+    ring = (np.abs(radius - radius[own]) < same_mm) & (colour == colour[own])
+    ring &= np.abs(position_mm[:, 2] - position_mm[own, 2]) < same_mm
+    both = np.column_stack([position_mm, head_mm])
+    for steps in range(int(ring.sum()), 1, -1):
+        if ring.sum() % steps:
+            continue
+        turn = axial_rotation(1.0 / steps)
+        after = np.column_stack([position_mm @ turn.T, head_mm @ turn.T])
+        gap = np.abs(after[:, None] - both[None]).max(axis=2)
+        gap[colour[:, None] != colour[None]] = np.inf
+        place = gap.argmin(axis=1)
+        if (gap.min(axis=1) < same_mm).all() and len(np.unique(place)) == count:
+            out = [np.arange(count)]
+            while len(out) < steps:
+                out.append(place[out[-1]])
+            return out
+    return [np.arange(count)]
+
+
 def limits_of(bundle: "Bundle") -> list[str]:
     """Each limit as a sentence; empty for none."""
-    out = []
+    out, steps = [], bundle.symmetry_order
+    if bundle.turned_deg:
+        out.append(
+            f"shell-turned: the shell sits turned by {bundle.turned_deg:g} degrees; numbers and "
+            "places are those of the shell, not of the holder"
+        )
+    elif steps > 1 and not bundle.marks.count:
+        out.append(
+            f"orientation-ambiguous: a shell that sits turned by {360.0 / steps:g} degrees or a "
+            f"multiple looks the same ({steps} ways), and then every place is wrong: align shell "
+            "and camera, or give the design reference_marks"
+        )
     hidden = ~bundle.tips.readable & (bundle.tips.red_on_px <= RED_AREA_MIN_px)
     if hidden.any():
         out.append(

@@ -12,6 +12,7 @@ import numpy as np
 
 from phytac_decoder.io.bundle import Bundle, CameraView
 from phytac_decoder.pipeline.decode import Frames, locate_in, one_frame_per_camera
+from phytac_decoder.pipeline.shell_turn import oriented
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
@@ -93,7 +94,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         If paints cannot be distinguished in the frame, or it is none of this sensor.
     """
     frames = one_frame_per_camera(bundle, rest_frames)
-    lit = replace(bundle, colours=calibrated_colours(bundle, frames))
+    lit = oriented(replace(bundle, colours=calibrated_colours(bundle, frames)), frames)
     shown, count, marks_px = [], len(bundle.colour), lit.marks.rest_px
     for number, frame in enumerate(frames):
         old = lit.shown_by(number)
