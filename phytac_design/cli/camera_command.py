@@ -51,7 +51,7 @@ def camera(
     problems = check.problems()
     locked: dict[str, float] = {}
     if isinstance(frames, CameraSource):
-        problems += [f"camera {text}; set it with v4l2-ctl" for text in frames.refused]
+        problems += [f"refused by camera {text}; set it with v4l2-ctl" for text in frames.refused]
         locked = frames.locked
     if as_json:
         verdict = {"ready": not problems, "change": problems, "locked": locked}

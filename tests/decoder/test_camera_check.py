@@ -162,7 +162,7 @@ def test_the_command_reports_and_gives_a_verdict(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, good: bool
 ) -> None:
     save_bundle(toy_bundle(), tmp_path)
-    world = VirtualWorld(picture=lambda _: IDLE if good else scaled(0.25), period_s=0.02)
+    world = VirtualWorld(picture=lambda _: IDLE if good else scaled(0.25), period_s=0.01)
     if not good:
         world.refuse = {cv2.CAP_PROP_AUTOFOCUS}
     install(monkeypatch, world)

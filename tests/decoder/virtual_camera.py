@@ -70,6 +70,8 @@ class VirtualWorld:
         Pictures until it is unplugged, since it was opened.
     period_s : float
         Time between pictures.
+    drivers : dict
+        Properties of each device, which last until it is unplugged.
     opened : list of VirtualCamera
         All that were opened.
     """
@@ -88,6 +90,7 @@ class VirtualWorld:
     plugged: bool = True
     frames: int | None = None
     period_s: float = 0.005
+    drivers: dict[int | str, dict[int, float]] = field(default_factory=dict)
     opened: list["VirtualCamera"] = field(default_factory=list)
 
     def open(self, device: int | str, _api: int = 0) -> "VirtualCamera":
@@ -105,7 +108,7 @@ class VirtualCamera:
 
     def __init__(self, world: VirtualWorld, device: int | str) -> None:
         self.world, self.device, self.released = world, device, False
-        self.held = usual_driver() | {cv2.CAP_PROP_EXPOSURE: world.exposure}
+        self.held = world.drivers.setdefault(device, usual_driver())
         self.asked: list[tuple[int, float]] = []
         self.number = -1
 
@@ -127,6 +130,8 @@ class VirtualCamera:
         return True
 
     def get(self, key: int) -> float:
+        if key == cv2.CAP_PROP_EXPOSURE and self.held[cv2.CAP_PROP_AUTO_EXPOSURE] != MANUAL:
+            self.held[key] = self.world.exposure
         return -1.0 if key in self.world.lack else self.held.get(key, -1.0)
 
     def grab(self) -> bool:
@@ -148,11 +153,9 @@ class VirtualCamera:
         automatic = self.held[cv2.CAP_PROP_AUTO_EXPOSURE] != MANUAL
         pumping = self.world.pump if automatic or self.world.pump_always else 0.0
         factor = 1.0 + pumping * math.sin(0.1 * self.number)
-        if not automatic:
-            return factor * self.held[cv2.CAP_PROP_EXPOSURE] / 156.0
-        if self.world.dark_frames:
+        if automatic and self.world.dark_frames:
             factor *= 1.0 - 0.9 * math.exp(-max(self.number, 0) / self.world.dark_frames)
-        return factor
+        return factor * self.get(cv2.CAP_PROP_EXPOSURE) / 156.0
 
     def release(self) -> None:
         self.released = True

@@ -147,5 +147,8 @@ PROGRAMS: dict[str, Callable[[Sequence[str]], str]] = {
     "make": make_fault,
     "dask": dask_fault,
 }
-FREE = set("cd ls cat cp ssh git pip uv sbatch srun jupyter source v4l2-ctl".split())
+FREE = {
+    "cd", "ls", "cat", "cp", "ssh", "git", "pip", "uv", "sbatch", "srun", "jupyter", "source",
+    "v4l2-ctl",
+}  # fmt: skip
 """Programs of others, whose words are not checked."""

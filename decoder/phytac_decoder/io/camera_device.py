@@ -12,14 +12,39 @@ import numpy as np
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
-CONTROLS: Mapping[str, tuple[int, int | None, float]] = {
-    "exposure": (cv2.CAP_PROP_EXPOSURE, cv2.CAP_PROP_AUTO_EXPOSURE, 1.0),  # V4L2_EXPOSURE_MANUAL
-    "gain": (cv2.CAP_PROP_GAIN, None, 0.0),
-    "white_balance": (cv2.CAP_PROP_WB_TEMPERATURE, cv2.CAP_PROP_AUTO_WB, 0.0),
-    "focus": (cv2.CAP_PROP_FOCUS, cv2.CAP_PROP_AUTOFOCUS, 0.0),
+
+@dataclass(frozen=True, kw_only=True)
+class Control:
+    """A camera's setting, as OpenCV's properties of V4L2 give it.
+
+    Attributes
+    ----------
+    value, mode : int
+        Properties of the setting and of its mode.
+    automatic, manual : float
+        Values of the mode.
+    settles : bool
+        Whether the automatic mode runs on opening. Focus stays as it is: it changes the lens.
+    """
+
+    value: int
+    mode: int | None = None
+    automatic: float = 1.0
+    manual: float = 0.0
+    settles: bool = True
+
+
+CONTROLS = {
+    "exposure": Control(
+        value=cv2.CAP_PROP_EXPOSURE,
+        mode=cv2.CAP_PROP_AUTO_EXPOSURE,
+        automatic=3.0,  # V4L2_EXPOSURE_APERTURE_PRIORITY
+        manual=1.0,  # V4L2_EXPOSURE_MANUAL
+    ),
+    "gain": Control(value=cv2.CAP_PROP_GAIN),
+    "white_balance": Control(value=cv2.CAP_PROP_WB_TEMPERATURE, mode=cv2.CAP_PROP_AUTO_WB),
+    "focus": Control(value=cv2.CAP_PROP_FOCUS, mode=cv2.CAP_PROP_AUTOFOCUS, settles=False),
 }
-"""OpenCV's property of each control, that of its automatic mode, and the value that ends the mode.
-Of V4L2: other systems' values differ, and not all can be read back."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +113,9 @@ def parse_controls(pairs: Sequence[str]) -> dict[str, float | str]:
 class CameraDevice:
     """A camera that gives pictures of one size with constant settings.
 
-    On opening, automatic controls run until the brightness has settled, and are locked at the
-    values that they have reached. When it is opened again, it gets these values.
+    On opening, automatic exposure and white balance run until the brightness has settled, and all
+    controls are locked at the values that they have reached. When it is opened again, it gets these
+    values.
 
     Attributes
     ----------
@@ -150,6 +176,8 @@ class CameraDevice:
             )
         try:
             self._set_mode()
+            if api == cv2.CAP_V4L2:
+                self._start_automatic()
             self._check_size(self._warm_up())
             if api == cv2.CAP_V4L2:
                 self._lock()
@@ -248,6 +276,10 @@ class CameraDevice:
             steady = max(last) - min(last) <= self.settings.settled * max(last) + 0.5
             if len(means) >= self.settings.warm_up_frames and steady:
                 break
+        else:
+            self.refused.append(
+                f"to settle (its brightness still changes after {self.settings.warm_up_s:g} s)"
+            )
         if image is None:
             raise InputError(
                 "camera-no-picture",
@@ -268,29 +300,38 @@ class CameraDevice:
                 "(v4l2-ctl --list-formats-ext), or rebuild the design with the camera's size",
             )
 
+    def _start_automatic(self) -> None:
+        """Start automatic modes: a driver keeps what an earlier program has locked."""
+        for name, control in CONTROLS.items():
+            known = name in self.controls or name in self.locked
+            wanted = self.controls.get(name) == "auto" or (control.settles and not known)
+            if wanted and control.mode is not None and self._camera.get(control.mode) != -1.0:
+                self._camera.set(control.mode, control.automatic)
+
     def _lock(self) -> None:
         """End automatic modes, at requested values, at earlier ones, or where they have settled."""
         before, again = self.brightness, bool(self.locked)
-        for name, (value_key, mode_key, manual) in CONTROLS.items():
+        for name, control in CONTROLS.items():
             wanted = self.controls.get(name, self.locked.get(name))
             if wanted == "auto":
                 continue
-            now = float(self._camera.get(value_key))
-            mode = float(self._camera.get(mode_key)) if mode_key is not None else -1.0
+            now = float(self._camera.get(control.value))
+            mode = float(self._camera.get(control.mode)) if control.mode is not None else -1.0
             # OpenCV gives -1 for a control that the camera lacks.
             if now == mode == -1.0:
                 self.absent.append(name)
                 continue
-            if mode_key is not None and mode != -1.0:
-                self._camera.set(mode_key, manual)
-                got = float(self._camera.get(mode_key))
-                if got != manual:
+            if control.mode is not None and mode != -1.0:
+                self._camera.set(control.mode, control.manual)
+                got = float(self._camera.get(control.mode))
+                if got != control.manual:
                     self.refused.append(
-                        f"{name} (stays automatic: requested mode {manual:g}, it reports {got:g})"
+                        f"{name} (stays automatic: requested mode {control.manual:g}, it reports "
+                        f"{got:g})"
                     )
                     continue
             if now != -1.0:
-                self._lock_value(name, value_key, float(now if wanted is None else wanted))
+                self._lock_value(name, control.value, float(now if wanted is None else wanted))
         self._warm_up()
         change = max(self.brightness, 1.0) / max(before, 1.0)
         limit = self.settings.lock_change_max

@@ -28,6 +28,8 @@ class ExposureSettings:
         changes more slowly.
     change_max : float
         Largest relative change in that time without a warning.
+    step_s : float
+        Frames that follow sooner are not compared.
     grid : int
         Pixels along each side of the grid.
     usable : (float, float)
@@ -38,7 +40,8 @@ class ExposureSettings:
 
     window_s: float = 2.0
     change_max: float = 0.1
-    grid: int = 64
+    step_s: float = 0.05
+    grid: int = 48
     usable: tuple[float, float] = (16.0, 235.0)
     pixels_min: int = 100
 
@@ -56,6 +59,7 @@ class ExposureMonitor:
         self.settings = settings or ExposureSettings()
         self._last: list[FloatArray] = []
         self._past: deque[tuple[float, FloatArray]] = deque()
+        self._found: list[str] = []
 
     def check(self, images: Sequence[ImageArray], time_s: float) -> list[str]:
         """Sentences on the brightness of the next frame of each camera; empty for a steady one.
@@ -67,6 +71,8 @@ class ExposureMonitor:
         time_s : float
             When it was taken; earlier than the frame before where a recording begins again.
         """
+        if self._past and 0.0 < time_s - self._past[-1][0] < self.settings.step_s:
+            return self._found
         now = [self._sample(image) for image in images]
         again = not self._past or time_s < self._past[-1][0]
         if again or [part.shape for part in now] != [part.shape for part in self._last]:
@@ -80,18 +86,19 @@ class ExposureMonitor:
         while self._past[0][0] < time_s - self.settings.window_s:
             self._past.popleft()
         change = np.expm1(np.ptp([gain for _, gain in self._past], axis=0))
-        return [
+        self._found = [
             f"the whole picture's brightness has changed by {100.0 * part:.0f} % within "
             f"{self.settings.window_s:g} s: exposure or gain is automatic, or the light flickers; "
             "lock them, light the sensor steadily, and take a new rest frame"
             for part in change
             if part > self.settings.change_max
         ]
+        return self._found
 
     def _sample(self, image: ImageArray) -> FloatArray:
-        """Grey levels (r, c) of a grid of pixels."""
+        """Levels (r, c) of green, which a grey picture has too, at a grid of pixels."""
         rows, columns = (max(size // self.settings.grid, 1) for size in image.shape[:2])
-        return np.asarray(image[::rows, ::columns].mean(axis=2))
+        return image[::rows, ::columns, 1].astype(np.float64)
 
     def _step(self, now: FloatArray, before: FloatArray) -> float:
         """Logarithm of the ratio of two frames' brightness; 0 where it cannot be measured."""
