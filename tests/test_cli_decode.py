@@ -316,6 +316,28 @@ def test_what_a_camera_gave_is_kept_when_it_goes(
     assert [path.name for path in tmp_path.iterdir()] == ["out.parquet"]
 
 
+def test_rest_frames_come_from_the_camera_that_runs(
+    toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def picture(number: int) -> ImageArray:
+        world.plugged = number < 80
+        return toy_frame({14: 3.0} if number > 50 else {})
+
+    world = VirtualWorld(picture=picture, period_s=0.02)
+    install(monkeypatch, world, lost_s=0.3, give_up_s=0.3)
+    out = tmp_path / "out.csv"
+    words = (toy / "decoder", "7", "--rest-first", "20", "--control", "gain=9", "--csv", out)
+    with refused("camera-silent"):
+        run(*words)
+    assert sum(camera.number >= 0 for camera in world.opened) == 1
+    assert world.opened[0].held[cv2.CAP_PROP_GAIN] == 9.0
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert {row["valid"] for row in rows} == {"1"}
+    assert float(rows[-1]["force_N"]) == pytest.approx(3.0, abs=0.15)
+    # The stream's time begins after the rest frames.
+    assert float(rows[0]["timestamp_s"]) < 0.35
+
+
 def test_progress_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     for count, words in ((40, "12 of 40 frames, 6.0 a second"), (None, "12 frames, 6.0 a second")):
         decode_command._progress(count, rows=False)(Progress(seconds=2.0, frames=12, fps=6.0))

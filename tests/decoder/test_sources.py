@@ -332,6 +332,9 @@ def test_two_cameras_are_read_together(world: VirtualWorld) -> None:
         assert first[0, 0, 0] == second[0, 0, 0]
     source.close()
     assert len(world.opened) == 2
+    # Each has its own size.
+    with refused("camera-size"):
+        open_source(["0", "1"], sizes_px=[(32, 24), (16, 12)], report=lambda _: None)
 
 
 def test_a_camera_that_is_not_there_is_rejected(world: VirtualWorld) -> None:
