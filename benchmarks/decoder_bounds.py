@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phytac_decoder.camera.camera_motion import MOUNTS, CameraMotion, tabulate_camera_motion
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_design.datasets.samples import Samples
 from phytac_design.engine.stage import Context
@@ -16,6 +17,7 @@ from phytac_design.simulation.cramer_rao import (
     contact_signals,
 )
 from phytac_design.simulation.linear_response import motion_responses
+from phytac_design.stages.response_stage import readers_of
 from phytac_design.training.locator_calibration import pressure_moments
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -76,6 +78,8 @@ def noise_of(found: list[ContactDetection | None], samples: Samples) -> FloatArr
 def bounds(context: Context, samples: Samples, noise_px: FloatArray) -> Bounds:
     """Bounds of all contacts of samples, by the decoder's own shell, linear.
 
+    Motion of the cameras since the rest frame is unknown, as in the decoder.
+
     Parameters
     ----------
     context : Context
@@ -97,6 +101,7 @@ def bounds(context: Context, samples: Samples, noise_px: FloatArray) -> Bounds:
         design.training.patch_radius_min_mm,
         design.training.patch_radius_max_mm,
     )
+    motion = camera_motion(context)
     rows = np.flatnonzero(tripped)
     signals = _signals(context, samples, tripped)
     force, alone = np.full((2, len(tripped)), np.nan)
@@ -107,24 +112,38 @@ def bounds(context: Context, samples: Samples, noise_px: FloatArray) -> Bounds:
             continue
         weight = np.isfinite(samples.shift_px[sample]).reshape(-1) / noise_px.reshape(-1)
         mine = ContactSignals(shift=signals.shift[own], slopes=signals.slopes[own])
-        found = _sample(mine, touches.force_N[rows[own]], weight, prior)
+        found = _sample(mine, touches.force_N[rows[own]], weight, prior, motion)
         force[rows[own]], alone[rows[own]] = found
     return Bounds(force_N=force, alone_N=alone)
 
 
+def camera_motion(context: Context) -> CameraMotion:
+    """Motion of the design's cameras on a bench."""
+    readers = readers_of(context)
+    return tabulate_camera_motion(
+        readers.cameras, readers.read_by, context.markers.tip_mm, MOUNTS["bench"]
+    )
+
+
 def _sample(
-    signals: ContactSignals, force_N: FloatArray, weight: FloatArray, prior: PositionPrior
+    signals: ContactSignals,
+    force_N: FloatArray,
+    weight: FloatArray,
+    prior: PositionPrior,
+    motion: CameraMotion,
 ) -> tuple[FloatArray, FloatArray]:
     """Bounds (m,) of m contacts at once, and of each alone."""
     slopes = force_N[:, None, None] * signals.slopes
     G = np.concatenate([signals.shift[:, :, None], slopes], axis=2) * weight[:, None]
     known = np.array([0.0, prior.place_mm**-2, prior.place_mm**-2, prior.radius_mm**-2])
-    each = np.swapaxes(G, 1, 2) @ G + np.diag(known)
-    alone = np.sqrt(np.linalg.inv(each)[:, 0, 0])
-    return _least(np.swapaxes(G, 1, 2), known), alone
+    weighed, camera = np.swapaxes(G, 1, 2), motion.first * weight
+    alone = np.array([_least(one[None], known, camera, motion.prior)[0] for one in weighed])
+    return _least(weighed, known, camera, motion.prior), alone
 
 
-def _least(weighed: FloatArray, known: FloatArray) -> FloatArray:
+def _least(
+    weighed: FloatArray, known: FloatArray, camera: FloatArray, camera_prior: FloatArray
+) -> FloatArray:
     """Bounds (m,) of the first of k unknowns of each of m contacts at once.
 
     Parameters
@@ -133,11 +152,17 @@ def _least(weighed: FloatArray, known: FloatArray) -> FloatArray:
         Slopes of all shifts over their standard deviations.
     known : (k,) float
         Inverse variances of what is known beforehand.
+    camera : (q, 2n) float
+        Slopes by motion of the cameras over the same.
+    camera_prior : (q, q) float
+        What is known of that motion beforehand: its inverse covariance.
     """
-    count = len(weighed)
-    flat = weighed.reshape(count * len(known), -1)
-    information = flat @ flat.T + np.diag(np.tile(known, count))
-    return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(information))[:: len(known)]))
+    count = len(weighed) * len(known)
+    flat = np.concatenate([weighed.reshape(count, -1), camera])
+    information = flat @ flat.T
+    information[:count, :count] += np.diag(np.tile(known, len(weighed)))
+    information[count:, count:] += camera_prior
+    return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(information))[: count : len(known)]))
 
 
 def _signals(context: Context, samples: Samples, chosen: BoolArray) -> ContactSignals:

@@ -213,7 +213,7 @@ def test_bound_is_the_designs_own_and_grows_with_company(judged: Evaluation) -> 
     twice = bounds(context, samples, 2.0 * noise)
     assert np.all(twice.alone_N[rows] > found.alone_N[rows])
     # By hand for one: two columns of the same information matrix.
-    from benchmarks.decoder_bounds import _signals
+    from benchmarks.decoder_bounds import _signals, camera_motion
 
     chosen = np.isin(np.arange(len(samples.touches.sample)), alone)
     training = context.design.training
@@ -224,7 +224,12 @@ def test_bound_is_the_designs_own_and_grows_with_company(judged: Evaluation) -> 
         training.patch_radius_max_mm,
     )
     signals = _signals(context, samples, chosen)
-    direct = signals.bound(samples.touches.force_N[chosen], noise_px=0.03, prior=prior)
+    direct = signals.bound(
+        samples.touches.force_N[chosen],
+        noise_px=0.03,
+        prior=prior,
+        motion=camera_motion(context),
+    )
     np.testing.assert_allclose(found.force_N[chosen], direct.force_N, rtol=1e-6)
 
 

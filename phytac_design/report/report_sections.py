@@ -240,7 +240,39 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
                 name="resolution_along",
             ),
         )
-        + figure_names.facts({key: found[key] for key in found if key != "bound"}, "resolution")
+        + _camera_motion(found["camera_motion"], found["bound"])
+        + figure_names.facts(
+            {key: found[key] for key in found if key not in {"bound", "camera_motion"}},
+            "resolution",
+        )
+    )
+
+
+def _camera_motion(found: Mapping[str, Any], still: Mapping[str, Any]) -> str:
+    """What motion of the camera costs, and how far it may go."""
+    force = f"{found['force_N']:g} N"
+    keys = ("force_N_median_middle", "force_N_median", "force_N_worst")
+    names = {
+        "rigid": "mount rigid",
+        "bench": "mount bench",
+        "handheld": "mount handheld",
+        "marks": "any mount, with reference marks",
+    }
+    rows = [("camera that cannot move", *(still[force][key] for key in keys))]
+    rows += [(names[name], *(row[key] for key in keys)) for name, row in found["bound"].items()]
+    limit = found["tolerance"]
+    return (
+        f"<p>A camera that may have moved against the shell since the rest frame adds seven "
+        f"unknowns. Smallest standard deviation of {force} then:</p>"
+        + page.table(
+            ("", "median in the middle (N)", "median (N)", "worst (N)"),
+            rows,
+        )
+        + f"<p>The mount must hold the camera within {limit['shift_mm']:.2g} mm, "
+        f"{limit['turn_deg']:.2g}° and {limit['zoom_percent']:.2g} % of focal length: frames of "
+        "one that has moved farther are refused"
+        + ("" if "marks" in found["bound"] else "; with reference marks it may move farther")
+        + ".</p>"
     )
 
 

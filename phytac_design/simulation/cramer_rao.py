@@ -9,6 +9,11 @@ information of θ = (f, x, y, r), x and y in mm along and around the surface, is
 and the bound of each parameter the root of the diagonal of J⁻¹. The prior states what is known of
 place and size without the camera: a contact lies somewhere in the cell of the switch it trips.
 No estimator without bias is better on average (van Trees 1968, for random parameters).
+
+Motion of the cameras is a nuisance: q more unknowns b with shifts B·b and the prior precision P.
+Eliminating them leaves of the first term::
+
+    Gᵀ (1 - B (BᵀB + σ² P)⁻¹ Bᵀ) G / σ²
 """
 
 from collections.abc import Callable
@@ -16,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phytac_decoder.camera.camera_motion import CameraMotion
 from phytac_design.simulation.contacts import tangent_step
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -91,7 +97,12 @@ class ContactSignals:
     slopes: FloatArray
 
     def bound(
-        self, force_N: FloatArray | float, *, noise_px: float, prior: PositionPrior
+        self,
+        force_N: FloatArray | float,
+        *,
+        noise_px: float,
+        prior: PositionPrior,
+        motion: CameraMotion | None = None,
     ) -> CramerRaoBound:
         """Bounds at forces (c,) or one for all.
 
@@ -103,6 +114,9 @@ class ContactSignals:
             Standard deviation of each coordinate of each centroid.
         prior : PositionPrior
             What is known beforehand.
+        motion : CameraMotion, optional
+            Shifts of the same 2n coordinates by motion of the cameras, with its prior; cameras
+            that stand still by default.
 
         Raises
         ------
@@ -121,6 +135,10 @@ class ContactSignals:
             )
         G = np.concatenate([self.shift[:, :, None], force[:, None, None] * self.slopes], axis=2)
         information = np.swapaxes(G, 1, 2) @ G / noise_px**2
+        if motion is not None:
+            inner = motion.first @ motion.first.T + noise_px**2 * motion.prior
+            cross = motion.first @ G
+            information -= np.swapaxes(cross, 1, 2) @ np.linalg.solve(inner, cross) / noise_px**2
         known = np.array([0.0, prior.place_mm**-2, prior.place_mm**-2, prior.radius_mm**-2])
         covariance = np.linalg.inv(information + np.diag(known))
         spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))

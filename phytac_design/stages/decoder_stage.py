@@ -12,6 +12,7 @@ from phytac_decoder.estimation.cascade_network import Activation
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle import Bundle, CameraView, save_bundle, stamp_bundle
+from phytac_decoder.io.sensor_limits import limits_of
 from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px, TipModel
 from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
@@ -243,7 +244,7 @@ def limit_facts(bundle: Bundle) -> dict[str, Any]:
         "koi_inverse_noise_N_worst": float(inverse.max()),
         "force_unreadable": np.flatnonzero(~bundle.force_readable).tolist(),
         "switches_unreadable": np.flatnonzero(~bundle.tips.readable).tolist(),
-        "sentences": bundle.limits(),
+        "sentences": limits_of(bundle),
     }
 
 

@@ -1,11 +1,20 @@
 """How well a contact can be read at all: the Cramér-Rao bound at every receptor."""
 
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from phytac_decoder.camera.camera_motion import (
+    MARKED,
+    MOUNTS,
+    MOVED_SDS,
+    CameraMotion,
+    MountTolerance,
+    tabulate_camera_motion,
+)
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.simulation.cramer_rao import (
     ContactSignals,
@@ -32,6 +41,34 @@ def _medians(bound: CramerRaoBound, middle: BoolArray) -> dict[str, float]:
         "along_mm_median": float(np.median(bound.along_mm)),
         "around_mm_median": float(np.median(bound.around_mm)),
     }
+
+
+def camera_motions(context: Context, views: Mapping[str, Any]) -> dict[str, CameraMotion]:
+    """Motion of the cameras by mount and, where the design has them, with reference marks.
+
+    Coordinates are those of all markers in each camera.
+    """
+    cameras, count = context.sensor.cameras, context.markers.count
+    reader = np.repeat(np.arange(len(cameras)), count)
+    heads = np.tile(context.markers.tip_mm, (len(cameras), 1))
+    table = tabulate_camera_motion(cameras, reader, heads, MOUNTS["bench"])
+    table = table.masked(np.repeat(np.asarray(views["seen_by"]).ravel(), 2))
+    out: dict[str, CameraMotion] = {
+        mount: replace(table, sd=np.tile(tolerance.sd, len(cameras)))
+        for mount, tolerance in MOUNTS.items()
+    }
+    marks = context.sensor.reference_marks
+    if marks.count:
+        seen = tabulate_camera_motion(cameras, views["mark_camera"], marks.point_mm, MARKED)
+        seen = seen.masked(np.repeat(views["mark_clear"], 2))
+        noise = context.design.camera.noise_centroid_px
+        information = seen.first @ seen.first.T / noise**2 + seen.prior
+        out["marks"] = replace(table, precision=information)
+    return out
+
+
+def _tolerance(tolerance: MountTolerance, factor: float) -> dict[str, float]:
+    return {key: factor * value for key, value in asdict(tolerance).items()}
 
 
 def run_resolution(context: Context, folder: Path) -> None:
@@ -83,7 +120,23 @@ def run_resolution(context: Context, folder: Path) -> None:
             as_read.bound(force, noise_px=noise, prior=prior), middle
         )
     write_arrays(folder, arrays)
+    # What it costs that the cameras may have moved since the rest frame.
+    costs = {
+        name: _medians(
+            signals.bound(training.force_max_N, noise_px=noise, prior=prior, motion=motion), middle
+        )
+        for name, motion in camera_motions(context, views).items()
+    }
+    marked = context.sensor.reference_marks.count > 0
     facts = {
+        "camera_motion": {
+            "force_N": training.force_max_N,
+            "bound": costs,
+            # Frames of a camera that has moved farther are refused.
+            "tolerance": _tolerance(MARKED, 1.0)
+            if marked
+            else _tolerance(MOUNTS["bench"], MOVED_SDS),
+        },
         "bound": table,
         **({"bound_as_read": table_read} if len(slopes) > 1 else {}),
         "cameras": len(slopes),
@@ -100,7 +153,7 @@ RESOLUTION = Stage(
     design_fields=("mechanics", "camera.noise_centroid_px", "touch"),
     settings=("refine", "receptors"),
     depends_on=("views",),
-    arrays={"views": ("paint_slopes", "seen_by", "camera")},
+    arrays={"views": ("paint_slopes", "seen_by", "camera", "mark_camera", "mark_clear")},
     scene=("regions", "reach_mm"),
     run=run_resolution,
 )

@@ -1,8 +1,11 @@
 """Cramér-Rao bounds against closed forms and against an estimator that attains them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from phytac_decoder.camera.camera_motion import CameraMotion
 from phytac_design.simulation.cramer_rao import (
     CramerRaoBound,
     PositionPrior,
@@ -139,3 +142,31 @@ def test_cell_prior() -> None:
 def test_invalid_input_is_rejected(bad: dict[str, float]) -> None:
     with refused("bound-input-not-positive"):
         bound(FREE, **bad)
+
+
+def test_motion_of_the_camera_costs_as_eliminating_its_unknowns_does() -> None:
+    places, radius = np.array([[1.0, 2.0], [10.0, -7.0]]), np.array([5.0, 4.0])
+    signals = contact_signals(PAD, dents, uv=places, radius_mm=radius)
+    rng, q, noise, force = np.random.default_rng(0), 3, 0.05, 5.0
+    first, sd = rng.normal(size=(q, signals.shift.shape[1])), np.array([0.01, 0.2, 5.0])
+    motion = CameraMotion(
+        first=first,
+        second=np.zeros((0, first.shape[1]), dtype=np.float32),
+        pair=np.zeros((2, 0), dtype=np.int64),
+        sd=sd,
+    )
+    prior = PositionPrior(place_mm=2.0, radius_mm=1.0)
+    found = signals.bound(force, noise_px=noise, prior=prior, motion=motion)
+    still = signals.bound(force, noise_px=noise, prior=prior)
+    assert (found.force_N > 1.01 * still.force_N).all()
+    for k in range(2):
+        slopes = np.column_stack([signals.shift[k], force * signals.slopes[k], first.T])
+        known = np.diag([0.0, 0.25, 0.25, 1.0, *sd**-2.0])
+        full = np.linalg.inv(slopes.T @ slopes / noise**2 + known)
+        assert found.force_N[k] == pytest.approx(np.sqrt(full[0, 0]), rel=1e-9)
+        assert found.along_mm[k] == pytest.approx(np.sqrt(full[1, 1]), rel=1e-9)
+    # A camera that is known to stand still, as by marks, costs nothing.
+    sure = signals.bound(
+        force, noise_px=noise, prior=prior, motion=replace(motion, precision=1e12 * np.eye(q))
+    )
+    assert np.allclose(sure.force_N, still.force_N, rtol=1e-4)

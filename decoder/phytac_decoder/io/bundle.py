@@ -46,6 +46,7 @@ from phytac_decoder.io.sensor_limits import (
     check_scene,
     limits_of,
     markers_in_play,
+    orientation_notes,
     symmetric_turns,
 )
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
@@ -226,7 +227,7 @@ class Bundle:
 
     def limits(self) -> list[str]:
         """Return what this sensor cannot read in any frame, one sentence each."""
-        return limits_of(self)
+        return [*orientation_notes(self), *limits_of(self)]
 
 
 def save_bundle(bundle: Bundle, folder: Path) -> None:

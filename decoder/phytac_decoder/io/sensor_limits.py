@@ -50,20 +50,27 @@ def symmetric_turns(
     return [np.arange(count)]
 
 
-def limits_of(bundle: "Bundle") -> list[str]:
-    """Each limit as a sentence; empty for none."""
-    out, steps = [], bundle.symmetry_order
+def orientation_notes(bundle: "Bundle") -> list[str]:
+    """What the turn of the shell about its axis means for its readings; empty for nothing."""
+    steps = bundle.symmetry_order
+    text = (
+        f"orientation-ambiguous: a shell that sits turned by {360.0 / steps:g} degrees or a "
+        f"multiple looks the same ({steps} ways), and then every place is wrong; align shell and "
+        "camera, or add reference_marks to the design"
+    )
     if bundle.turned_deg:
-        out.append(
+        text = (
             f"shell-turned: the shell sits turned by {bundle.turned_deg:g} degrees; numbers and "
             "places are those of the shell, not of the holder"
         )
-    elif steps > 1 and not bundle.marks.count:
-        out.append(
-            f"orientation-ambiguous: a shell that sits turned by {360.0 / steps:g} degrees or a "
-            f"multiple looks the same ({steps} ways), and then every place is wrong: align shell "
-            "and camera, or give the design reference_marks"
-        )
+    elif steps == 1 or bundle.marks.count:
+        return []
+    return [text]
+
+
+def limits_of(bundle: "Bundle") -> list[str]:
+    """Each limit as a sentence; empty for none."""
+    out = []
     hidden = ~bundle.tips.readable & (bundle.tips.red_on_px <= RED_AREA_MIN_px)
     if hidden.any():
         out.append(
