@@ -7,7 +7,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from phytac_design.design.base_table import Section, assumed, with_file
 from phytac_design.design.positions import read_positions
 
-ColourName = Literal["blue", "green", "yellow", "magenta", "cyan"]
+ColourName = Literal["blue", "green", "yellow", "magenta", "cyan", "white", "black"]
 
 
 class ReferenceMarksSection(Section):
@@ -67,7 +67,9 @@ class LayoutSection(Section):
     row_pitch_exponent: float = Field(1.0, ge=0.2, le=5.0)
     """Distance along the surface grows as (row number)^exponent; above 1 rows widen away."""
     colours: tuple[ColourName, ...] = Field(("blue", "green"), min_length=1, max_length=16)
-    """Paints of the columns, repeated around; without columns, neighbours differ where they can."""
+    """Paints of the columns, repeated around; without columns, neighbours differ where they can.
+    `white` alone: dots on black resin, `black` alone: dots on light resin, both told from the wall
+    by brightness, without switches (`receptor.diameter_hole_mm = 0`)."""
     colour_pattern: Literal["columns", "checkerboard"] = "columns"
     """`columns` paints a column in one colour; `checkerboard` moves on by one colour a row."""
     heights: Literal["linear", "constant", "power", "line-of-sight"] = "linear"
@@ -120,6 +122,12 @@ class LayoutSection(Section):
                     f"{name} must have one entry for each of {len(self.positions)} positions "
                     f"(got {len(getattr(self, name))})"
                 )
+        dots = sorted({"white", "black"} & set(self.colours))
+        if dots and set(self.colours) != {dots[0]}:
+            raise ValueError(
+                f"{dots[0]} dots are told from the wall by brightness and cannot be mixed with "
+                f"other colours (got {', '.join(self.colours)}); use {dots[0]} alone"
+            )
         unknown = sorted(set(self.position_colours) - set(self.colours))
         if unknown:
             raise ValueError(f"position_colours {', '.join(unknown)} must be among colours")
@@ -138,8 +146,9 @@ class ReceptorSection(Section):
 
     diameter_outer_mm: float = assumed(3.0, gt=0.0, le=200.0)
     """Outer diameter of the tube."""
-    diameter_hole_mm: float = assumed(1.6, gt=0.0, le=200.0)
-    """Through-hole for the stem of the switch, from the outer face to the end face."""
+    diameter_hole_mm: float = assumed(1.6, ge=0.0, le=200.0)
+    """Through-hole for the stem of the switch, from the outer face to the end face; 0 for solid
+    posts without switches: contacts are then found by the markers' motion alone."""
     band_marker_mm: float = assumed(1.0, ge=0.0, le=200.0)
     """Painted length of the tube's side below the end face; the end face is always painted."""
     direction: Literal["normal", "axis", "tilted"] = assumed("normal")

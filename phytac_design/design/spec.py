@@ -7,6 +7,7 @@ from pydantic import Field, ValidationInfo, create_model, model_validator
 
 import phytac_shapes
 from phytac_decoder.camera.lens import LENSES, Lens
+from phytac_decoder.vision.brightness import DOTS
 from phytac_design.design.base_table import Section, assumed
 from phytac_design.design.documents_table import BenchSection, KitSection
 from phytac_design.design.fixture_table import AnyFixture
@@ -283,6 +284,32 @@ class Design(Section):
     """Named parts of the surface, such as fingers and a palm, whose forces the decoder reports."""
     fixtures: tuple[AnyFixture, ...] = Field((), max_length=12)
     """Bodies that the camera sees and that can hide markers: `cylinder`, `box` or `mesh` (STL)."""
+
+    @model_validator(mode="after")
+    def _switches_have_colour(self) -> Self:
+        if self.dots and self.has_switches:
+            raise ValueError(
+                f"{self.dots} dots are read by brightness, which does not show the "
+                "red tips of switches (got receptor.diameter_hole_mm = "
+                f"{self.receptor.diameter_hole_mm:g}); set it to 0 for solid posts"
+            )
+        return self
+
+    @property
+    def has_switches(self) -> bool:
+        """Whether receptors are tubes with switches, not solid posts."""
+        return self.receptor.diameter_hole_mm > 0.0
+
+    @property
+    def dots(self) -> str:
+        """Colour of dots that are told from the wall by brightness; "" for coloured paint."""
+        return next((name for name in self.layout.colours if name in DOTS), "")
+
+    @property
+    def tip_travel_mm(self) -> float:
+        """How far red tips of switches that are on stand out of the end faces."""
+        out = self.switch.stroke_mm - self.switch.tip_recess_mm
+        return max(out, 0.0) if self.has_switches else 0.0
 
     def surface(self) -> Surface:
         """Build the sensing surface."""

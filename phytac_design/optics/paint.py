@@ -13,6 +13,8 @@ PAINTS: dict[str, tuple[int, int, int]] = {
     "yellow": (238, 206, 16),
     "magenta": (206, 36, 168),
     "cyan": (0, 182, 206),
+    "white": (236, 236, 230),
+    "black": (26, 26, 28),
 }
 """sRGB of each paint, 8 bits (chosen here as marker pens; the paper names the colours only).
 
@@ -20,6 +22,8 @@ PAINTS: dict[str, tuple[int, int, int]] = {
 """
 RESIN = (176, 170, 160)
 """sRGB of the printed resin, a warm grey."""
+RESIN_DARK = (34, 34, 36)
+"""sRGB of the black resin under white dots."""
 BAR = (255, 252, 240)
 """sRGB of the light bar, which shines."""
 FIXTURE = (84, 86, 90)
@@ -31,6 +35,11 @@ BACKGROUND = (6, 6, 7)
 def paints_of(names: Iterable[str]) -> dict[str, tuple[int, int, int]]:
     """Return the paints that a sensor shows: its markers' (each once, in order), then red."""
     return {name: PAINTS[name] for name in dict.fromkeys((*names, "red"))}
+
+
+def resin_of(names: Iterable[str]) -> tuple[int, int, int]:
+    """SRGB of the wall under these paints: dark under white dots."""
+    return RESIN_DARK if "white" in names else RESIN
 
 
 def to_linear(srgb: FloatArray) -> FloatArray:

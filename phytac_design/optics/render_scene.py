@@ -225,8 +225,9 @@ def _receptors(
     vertices = centre[:, :, None] + radius[None, :, None, None] * around[:, None]  # (n, ring, side)
     # Strips between two rings; the code is added to twice the marker id where it is a marker's.
     paint, red = FIRST_MARKER, FIRST_MARKER + 1
-    strips = [(0, 1, RESIN), (1, 2, paint), (2, 3, paint), (3, 4, RESIN), (4, 5, RESIN)]
-    strips += [(6, 7, red), (7, 8, red)]
+    strips = [(0, 1, RESIN), (1, 2, paint), (2, 3, paint)]
+    if design.has_switches:
+        strips += [(3, 4, RESIN), (4, 5, RESIN), (6, 7, red), (7, 8, red)]
     here, step = np.arange(sides), (np.arange(sides) + 1) % sides
     faces, codes = [], []
     for low, high, value in strips:

@@ -13,10 +13,11 @@ from itertools import combinations
 
 import numpy as np
 
+from phytac_decoder.vision.brightness import DOTS
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel
 from phytac_design.design.spec import Design
 from phytac_design.optics.light import EVEN, FROM_AXIS, FROM_CAMERA
-from phytac_design.optics.paint import paints_of, to_linear, to_srgb
+from phytac_design.optics.paint import paints_of, resin_of, to_linear, to_srgb
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
@@ -101,6 +102,10 @@ def separability(
     # (Cr, Cb) of 8-bit RGB, as OpenCV's full-range YCrCb (ITU-R BT.601).
     chroma_of_rgb = np.array([[0.5, -0.4187, -0.0813], [-0.1687, -0.3313, 0.5]])
     paints = paints_of(names)
+    for dot in DOTS.keys() & paints.keys():
+        # As the decoder sees it: blue by its contrast to the wall, in grey levels.
+        contrast = np.abs(np.subtract(paints[dot], resin_of(names))).mean()
+        paints[dot] = (0, 0, int(contrast))
     light = np.ones(3) if light_rgb is None else np.asarray(light_rgb, dtype=np.float64)
     albedo = to_linear(np.array(list(paints.values()), dtype=np.float64)) * light
     shaded = to_srgb(shade * albedo)
@@ -155,7 +160,8 @@ def check_paints(design: Design) -> Separability:
     uv_min = 0.04
     found = separability(design.layout.colours, noise_pixel=design.camera.noise_pixel)
     worst = int(np.argmin(np.minimum(found.hue_sigmas / sigmas_min, found.uv_distance / uv_min)))
-    if found.hue_sigmas[worst] < sigmas_min or found.uv_distance[worst] < uv_min:
+    close = found.hue_sigmas[worst] < sigmas_min or found.uv_distance[worst] < uv_min
+    if close and not design.dots:  # beside dots there are no red tips
         first, second = (found.names[i] for i in found.pairs[worst])
         raise DesignError(
             "paints-not-separable",

@@ -109,19 +109,26 @@ class Visibility:
         """
         return np.asarray(self.red_on_px < RED_RATIO_MIN * self.red_rest_px + PIXELS_MIN)
 
-    def summary(self) -> dict[str, float]:
-        """Figures of the report: numbers of failures, and the minima of visibility and gaps."""
-        return {
+    def summary(self, *, switches: bool = True) -> dict[str, float]:
+        """Figures of the report: numbers of failures, and the minima of visibility and gaps.
+
+        ``switches`` says whether the sensor has some; without, their figures are left out.
+        """
+        figures = {
             "occluded": int(self.occluded.sum()),
             "fused": int(self.fused.sum()),
             "min_visible_fraction": float(self.visible_fraction.min(initial=1.0)),
             "min_visible_px": int(self.visible_px.min(initial=np.iinfo(np.int64).max)),
             "min_gap_px": float(self.gap_same_colour_px.min(initial=np.inf)),
             "min_gap_other_colour_px": float(self.gap_other_colour_px.min(initial=np.inf)),
-            "min_red_on_px": int(self.red_on_px.min(initial=np.iinfo(np.int64).max)),
-            "switch_unreadable": int(self.switch_unreadable.sum()),
-            "max_red_rest_px": int(self.red_rest_px.max(initial=0)),
         }
+        if switches:
+            figures |= {
+                "min_red_on_px": int(self.red_on_px.min(initial=np.iinfo(np.int64).max)),
+                "switch_unreadable": int(self.switch_unreadable.sum()),
+                "max_red_rest_px": int(self.red_rest_px.max(initial=0)),
+            }
+        return figures
 
 
 def check_visibility(
@@ -354,7 +361,7 @@ def _means(
 def fused_in_frame(frame: ImageArray, spots: NDArray[np.int32], scene: RenderScene) -> BoolArray:
     """Markers and reference marks that segmentation of ``frame`` does not separate, (n + r,)."""
     model = ColourModel.from_rgb(paints_of(scene.paints))
-    blobs = segment(frame, model, with_labels=True)
+    blobs = segment(model.prepared(frame), model, with_labels=True)
     paint = np.array([model.names.index(name) for name in scene.paints])
     return fused_markers(np.asarray(blobs.labels), blobs.colour, spots, paint[scene.spot_colour])
 

@@ -58,9 +58,10 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
         mark, whose = CAMERA_SUFFIXES[number], of_camera(report, number)
         photos = [
             ("views", f"camera{mark}.png", "The camera's view at rest"),
-            ("views", f"camera{mark}_all_on.png", "All switches on: red tips out"),
             ("views", f"ids{mark}.png", "Exact ID map: one colour per marker"),
         ]
+        if context.design.has_switches:
+            photos.insert(1, ("views", f"camera{mark}_all_on.png", "All switches on: red tips out"))
         if number == 0 and report["straight"]:
             photos.insert(1, ("compare", "straight.png", "The same counts in straight rows"))
         shown = [photo(context, stage, name, text + whose) for stage, name, text in photos]

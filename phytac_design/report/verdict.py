@@ -108,6 +108,8 @@ def _cast(switch: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding]:
     """Switches and their molds."""
     if not missing(switch.get("refused")):
         return []  # among the forced findings
+    if not missing(switch.get("absent")):
+        return [Finding("cast", "good", f"nothing to cast: {switch['absent']}")]
     out = []
     made = switch.get("switches", ())
     if made:

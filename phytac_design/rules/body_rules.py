@@ -52,7 +52,7 @@ def check_fixtures(sensor: Sensor) -> None:
 
 def _check_receptors(design: Design, markers: Markers, mesh: TriangleMesh, name: str) -> None:
     """Refuse a fixture in a tube, or in the way of a red tip."""
-    out = max(design.switch.stroke_mm - design.switch.tip_recess_mm, 0.0)
+    out = design.tip_travel_mm
     parts = (
         ("receptor", markers.tip_mm, design.receptor.diameter_outer_mm / 2.0),
         (
@@ -174,7 +174,7 @@ def _check_tubes(design: Design, markers: Markers, centre: FloatArray, place: st
     arm = centre - markers.base_mm
     along = np.sum(arm * markers.direction, axis=1)
     aside = np.linalg.norm(arm - along[:, None] * markers.direction, axis=1)
-    out = max(design.switch.stroke_mm - design.switch.tip_recess_mm, 0.0)
+    out = design.tip_travel_mm
     tube = (along <= markers.height_mm) & (aside <= design.receptor.diameter_outer_mm / 2.0)
     red = (along <= markers.height_mm + out) & (aside <= design.switch.tip_diameter_mm / 2.0)
     hit = np.flatnonzero((along >= 0.0) & (tube | red))

@@ -121,7 +121,7 @@ def _bar_clearances(sensor: Sensor) -> list[tuple[str, FloatArray, float]]:
     near, far = bar_span_mm(design, surface) if bar > 0.0 else (0.0, 0.0)
     if near >= far:
         return []
-    pushed = markers.tip_mm + (switch.stroke_mm - switch.tip_recess_mm) * markers.direction
+    pushed = markers.tip_mm + design.tip_travel_mm * markers.direction
     ends = (
         (
             "receptor",

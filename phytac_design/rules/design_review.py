@@ -42,7 +42,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
     each = [check_visibility(sensor, rng=rng, camera=camera) for camera in cameras]
     seen, best = best_of(each)
     density = density_of(surface, markers)
-    summary = seen.summary()
+    summary = seen.summary(switches=design.has_switches)
     return {
         "design": design.name,
         "markers": {
@@ -76,7 +76,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
                 "end": "far" if end else "near",
                 "stand_off_mm": stand_off_mm(design, surface, camera),
                 "best_for": int((best == number).sum()),
-                "visibility": own.summary(),
+                "visibility": own.summary(switches=design.has_switches),
                 "lens": lens_facts(sensor, camera),
             }
             for number, (end, camera, own) in enumerate(

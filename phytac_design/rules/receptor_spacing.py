@@ -14,7 +14,7 @@ def check_ends(sensor: Sensor) -> None:
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     receptor, switch = design.receptor, design.switch
     sizes = [("tube", "receptor.diameter_outer_mm", receptor.diameter_outer_mm / 2.0)]
-    if design.wall.rim_length_mm > 0.0 and design.wall.rim_flange_mm > 0.0:
+    if design.has_switches and design.wall.rim_length_mm > 0.0 and design.wall.rim_flange_mm > 0.0:
         # Only a rim that stands out meets the bowls on the outer face.
         foot = switch.footprint_diameter_mm / 2.0
         sizes.append(("switch footprint", "switch.footprint_diameter_mm", foot))
@@ -67,7 +67,7 @@ def check_receptor_gaps(sensor: Sensor) -> None:
 def check_footprints(sensor: Sensor) -> None:
     """Check that the bowls of neighbouring switches do not overlap on the outer face."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    if markers.count < 2:
+    if markers.count < 2 or not design.has_switches:
         return
     apart, (low, high) = nearest_pair(surface.point(markers.uv))
     size = design.switch.footprint_diameter_mm

@@ -31,6 +31,15 @@ def check_sizes(design: Design) -> None:
             f"the wall is too thin to print ({design.wall.thickness_mm:g} mm < "
             f"{rules.wall_min_mm:g} mm); raise wall.thickness_mm to {rules.wall_min_mm:g}",
         )
+    if not design.has_switches:
+        if outer < rules.wall_min_mm - SLACK_mm:
+            refuse(
+                "tube-wall-too-thin",
+                f"the receptors' posts are too thin to print ({outer:g} mm < "
+                f"{rules.wall_min_mm:g} mm); raise receptor.diameter_outer_mm to "
+                f"{rules.wall_min_mm:g}",
+            )
+        return
     if hole < rules.hole_min_mm - SLACK_mm:
         refuse(
             "hole-too-small",

@@ -75,9 +75,10 @@ def key_node_data(model: ForceModel, data: Dataset) -> KeyNodeData:
 
 def decode_points(model: ForceModel, data: Dataset, estimator: str) -> FloatArray:
     """Decoded receptor forces (samples, n) N of one estimator, from measured shifts and bits."""
+    read = data.switching.bits & (not model.without_switches)
     return np.stack(
         [
             model.forces(estimator, shift, np.flatnonzero(bits))
-            for shift, bits in zip(data.shift_px, data.switching.bits, strict=True)
+            for shift, bits in zip(data.shift_px, read, strict=True)
         ]
     )

@@ -43,8 +43,11 @@ def shell_cad(sensor: Sensor) -> Any:
     axes = receptor_axes(sensor)
     receptor = design.receptor
     tubes = _rods(cq, axes.root_mm, axes.tip_mm, receptor.diameter_outer_mm / 2.0)
-    holes = _rods(cq, axes.hole_start_mm, axes.hole_end_mm, receptor.diameter_hole_mm / 2.0)
-    solids = wall.fuse(*tubes).cut(*holes).Solids()
+    shell = wall.fuse(*tubes)
+    if design.has_switches:
+        hole = receptor.diameter_hole_mm / 2.0
+        shell = shell.cut(*_rods(cq, axes.hole_start_mm, axes.hole_end_mm, hole))
+    solids = shell.Solids()
     if len(solids) != 1:
         raise CadKernelError(
             "cad-fuse-failed",

@@ -45,15 +45,15 @@ class ShellFacts:
         return asdict(self)
 
 
-def expected_genus(surface: Surface, markers: Markers) -> int:
-    """Genus of a shell with one through-hole for each marker.
+def expected_genus(surface: Surface, markers: Markers, *, holes: bool = True) -> int:
+    """Genus of a shell with one through-hole for each marker, or with none.
 
     The wall of a tube is a solid torus (genus 1), that of a dome or a sheet a ball (genus 0).
     Receptors add none; every through-hole joins inside and outside once more and adds one (derived
     here).
     """
     tube = surface.periodic[1] and not any(surface.poles)
-    return int(tube) + markers.count
+    return int(tube) + markers.count * holes
 
 
 def manifold_facts(solid: Any) -> ShellFacts:
@@ -89,8 +89,12 @@ def trimesh_facts(mesh: TriangleMesh) -> ShellFacts:
     )
 
 
-def shell_facts(solid: Any, surface: Surface, markers: Markers) -> ShellFacts:
+def shell_facts(
+    solid: Any, surface: Surface, markers: Markers, *, holes: bool = True
+) -> ShellFacts:
     """Facts of a finished shell; rejected unless it is one watertight body of the right genus.
+
+    ``holes`` says whether receptors are tubes with a through-hole, not solid posts.
 
     Raises
     ------
@@ -99,7 +103,7 @@ def shell_facts(solid: Any, surface: Surface, markers: Markers) -> ShellFacts:
     """
     facts = manifold_facts(solid)
     other = trimesh_facts(to_triangles(solid))
-    genus = expected_genus(surface, markers)
+    genus = expected_genus(surface, markers, holes=holes)
     seen = {(f.watertight, f.bodies, f.genus) for f in (facts, other)}
     if seen != {(True, 1, genus)}:
         raise NumericalError(

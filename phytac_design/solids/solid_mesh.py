@@ -95,11 +95,13 @@ def _parts(sensor: Sensor, tolerance_mm: float) -> _Parts:
     receptor = design.receptor
     axes = receptor_axes(sensor)
     radius, hole = receptor.diameter_outer_mm / 2.0, receptor.diameter_hole_mm / 2.0
+    cutters = TriangleMesh(vertices_mm=np.zeros((0, 3)), triangles=np.zeros((0, 3), dtype=np.int64))
+    if design.has_switches:
+        sides = sides_for(hole, tolerance_mm)
+        cutters = prisms(axes.hole_start_mm, axes.hole_end_mm, hole, sides)
     return _Parts(
         wall=to_manifold(wall_mesh(surface, design.wall, tolerance_mm=tolerance_mm)),
-        holes=to_manifold(
-            prisms(axes.hole_start_mm, axes.hole_end_mm, hole, sides_for(hole, tolerance_mm))
-        ),
+        holes=to_manifold(cutters),
         axes=axes,
         radius_mm=radius,
         sides=sides_for(radius, tolerance_mm),

@@ -138,7 +138,8 @@ def run(context: Context, folder: Path) -> None:
     twin = context.arrays("twin")
     model = untrained_model(context)
     training: dict[str, Any] = {"key_nodes": 0, "samples": 0}
-    if context.scene is None or context.scene.networks:
+    wanted = context.scene is None or context.scene.networks
+    if wanted and not model.without_switches:
         training = train_networks(context, model, Dataset.from_arrays(twin, "train"))
     scores, arrays = evaluate_estimators(context, model, twin)
     write_arrays(folder, arrays)

@@ -23,7 +23,9 @@ def run_shell(context: Context, folder: Path) -> None:
     design = context.design
     tolerance = context.accuracy.cad_tolerance_mm
     solid = shell_manifold(context.sensor, tolerance_mm=tolerance)
-    facts = shell_facts(solid, context.surface, context.markers).as_dict()
+    facts = shell_facts(
+        solid, context.surface, context.markers, holes=context.design.has_switches
+    ).as_dict()
     write_stl(to_triangles(solid), export_path(folder, "shell/shell.stl"))
     context.progress("shell: painted bodies")
     painted = painted_manifolds(context.sensor, tolerance_mm=tolerance)

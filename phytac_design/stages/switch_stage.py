@@ -25,6 +25,10 @@ def run(context: Context, folder: Path) -> None:
     A switch that does not fit is recorded with its reason: the stage's gate stops the build, and
     with ``--force`` the sensor is built without its switches.
     """
+    if not context.design.has_switches:
+        absent = "the design has no switches (receptor.diameter_hole_mm = 0)"
+        write_facts(folder, {"refused": "", "absent": absent, "switches": [], "parts": []})
+        return
     try:
         made = design_switches(context, folder)
     except DesignError as error:
@@ -79,6 +83,11 @@ def refusal(context: Context) -> str:
     return str(context.facts("switch").get("refused", ""))
 
 
+def absence(context: Context) -> str:
+    """Why there are no switches, by design or because they cannot be made; "" if there are."""
+    return str(context.facts("switch").get("absent", "")) or refusal(context)
+
+
 def red_of(context: Context) -> dict[str, Any]:
     """Red pixels of the tips in the camera against the decoder's minimum, at the weakest switch.
 
@@ -107,18 +116,19 @@ def switches_of(context: Context) -> SwitchSet:
     Raises
     ------
     DesignError
-        If they cannot be made; see :func:`refusal`.
+        If there are none; see :func:`absence`.
     """
-    if refusal(context):
-        raise DesignError("switch-infeasible", refusal(context))
+    if absence(context):
+        raise DesignError("switch-infeasible", absence(context))
     return _set_of(context, context.facts("switch")["switches"])
 
 
 def without_switches(context: Context, folder: Path) -> bool:
-    """Write facts that say why a stage makes nothing, if the switches cannot be made."""
-    reason = refusal(context)
+    """Write facts that say why a stage makes nothing, if there are no switches."""
+    reason = absence(context)
     if reason:
-        context.progress("left out: the switches cannot be made")
+        why = "the switches cannot be made" if refusal(context) else reason
+        context.progress(f"left out: {why}")
         write_facts(folder, {"left_out": reason, "parts": []})
     return bool(reason)
 

@@ -87,7 +87,7 @@ def run_views(context: Context, folder: Path) -> None:
     write_facts(
         folder,
         {
-            "visibility": best.summary(),
+            "visibility": best.summary(switches=context.design.has_switches),
             "density": asdict(density_of(surface, markers)),
             "stand_off_mm": stand_off_mm(design, surface, shots[0].camera),
             "cameras": [
@@ -95,7 +95,7 @@ def run_views(context: Context, folder: Path) -> None:
                     "end": "far" if end else "near",
                     "stand_off_mm": stand_off_mm(design, surface, shot.camera),
                     "best_for": int((camera == number).sum()),
-                    "visibility": shot.seen.summary(),
+                    "visibility": shot.seen.summary(switches=context.design.has_switches),
                     "lens": lens_facts(context.sensor, shot.camera),
                 }
                 for number, (end, shot) in enumerate(

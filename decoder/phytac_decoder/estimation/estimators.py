@@ -57,10 +57,17 @@ class ForceModel:
     @property
     def estimators(self) -> tuple[str, ...]:
         """Names of the available estimators, in the order of tables."""
+        if self.without_switches:
+            return ("auto",)
         ready = {"fem", "koi_inverse", *self.networks}
         if self.locator is not None:
             ready.add("auto")
         return tuple(name for name in ESTIMATORS if name in ready)
+
+    @property
+    def without_switches(self) -> bool:
+        """Whether no switch can be read: contacts are found by the markers' motion alone."""
+        return self.locator is not None and len(self.locator.blind) == len(self.height_z_mm)
 
     def with_camera_motion(
         self, camera_motion: CameraMotion, noise_centroid_px: float

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phytac_decoder.estimation.locator import SETTINGS
 from phytac_decoder.vision.switch_detection import RED_AREA_MIN_px
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -72,7 +73,13 @@ def limits_of(bundle: "Bundle") -> list[str]:
     """Each limit as a sentence; empty for none."""
     out = []
     hidden = ~bundle.tips.readable & (bundle.tips.red_on_px <= RED_AREA_MIN_px)
-    if hidden.any():
+    if hidden.all():
+        out.append(
+            "no switch can be seen: contacts are found by the markers' motion alone, with the "
+            f"estimator auto, at most {SETTINGS.unswitched_max} at a time; one that moves the "
+            "markers little is missed"
+        )
+    elif hidden.any():
         out.append(
             f"{int(hidden.sum())} of {len(bundle.colour)} switches cannot be seen even when on "
             f"({id_list(np.flatnonzero(hidden))}): something stands before their tips, such as "

@@ -7,6 +7,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera_motion import MarkedMotion
 from phytac_decoder.estimation.contact_estimates import ContactDetection
+from phytac_decoder.estimation.locator import SETTINGS as LOCATOR_SETTINGS
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_words
 from phytac_decoder.pipeline.fault_detection import FaultDetector
@@ -103,6 +104,12 @@ class FrameMeasurement:
                 f"receptors ({id_list(useless)}): noise of their K·u exceeds any force there; use "
                 "koi_inverse"
             )
+        most = LOCATOR_SETTINGS.unswitched_max
+        if bundle.model.without_switches and found and len(found.contacts) >= most:
+            out.append(
+                f"{most} contacts are the most that are found without switches: there may be more, "
+                "and a force may be the sum of several"
+            )
         if len(self.koi) > 0.3 * len(self.found):
             out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
         return out
@@ -134,7 +141,11 @@ class FrameMeasurement:
                 "another's: they are left out; clean or repaint them"
             )
         shift_px = bundle.model.without_motion(self.shift_px, self._motion(bundle, found))
-        motion = FaultDetector(bundle, shift_px, self.koi, found)
+        koi = self.koi
+        if bundle.model.without_switches:
+            # What contacts explain is no contradiction where no switch could show them.
+            koi = np.flatnonzero(forces_N)
+        motion = FaultDetector(bundle, shift_px, koi, found)
         weak = motion.switches_without_force(forces_N)
         if len(weak):
             least = bundle.threshold_N[weak].min()
@@ -144,9 +155,12 @@ class FrameMeasurement:
             )
         pressed, unexplained = motion.unexplained()
         if len(pressed):
+            contradiction = "their switches do not read as on"
+            if bundle.model.without_switches:
+                contradiction = "no contact explains it"
             out.append(
-                f"{len(pressed)} markers ({id_list(pressed)}) moved as if pressed, and their "
-                "switches do not read as on: forces there are missing"
+                f"{len(pressed)} markers ({id_list(pressed)}) moved as if pressed, and "
+                f"{contradiction}: forces there are missing"
             )
         elif len(unexplained):
             out.append(
@@ -158,7 +172,7 @@ class FrameMeasurement:
 
 
 def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:
-    """One frame for each of the bundle's cameras.
+    """One frame for each of the bundle's cameras, prepared for :func:`segment`.
 
     Raises
     ------
@@ -177,7 +191,7 @@ def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ..
         raise InputError(
             "camera-count", f"the sensor {bundle.design!r} has {each} (got {number}); {fix}"
         )
-    return given
+    return tuple(bundle.colours.prepared(frame) for frame in given)
 
 
 def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:

@@ -95,15 +95,16 @@ def read(
         moved = measured.moved_cameras(bundle, found)
         if moved:
             return Reading.none("; ".join(moved), "camera-moved")
+        forces = found.receptor_forces_N(len(measured.shift_px))
+        koi = np.union1d(koi, np.flatnonzero(forces))
         inverse_N = bundle.model.forces("koi_inverse", measured.shift_px, koi)
         reasons = implausible(bundle, found, inverse_N)
         if reasons:
             text = f"this cannot be: {'; '.join(reasons)}; check light, focus and the rest frame"
             return Reading.none(text, "result-implausible")
-        forces = found.receptor_forces_N(len(measured.shift_px))
         warnings = measured.warnings(bundle, forces, estimator=estimator, found=found)
         return Reading(
-            koi=np.union1d(koi, np.flatnonzero(forces)),
+            koi=koi,
             forces_N=forces,
             warnings=warnings,
             found=found,

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from phytac_decoder.vision.brightness import DOTS, dots_as_paint
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
@@ -50,10 +51,30 @@ class ColourModel:
 
     @classmethod
     def from_rgb(cls, paints: Mapping[str, tuple[int, int, int]]) -> "ColourModel":
-        """Model of paints given as 8-bit RGB; their order is the class order."""
-        rgb = np.array([list(paints.values())], dtype=np.uint8)
+        """Model of paints given as 8-bit RGB; their order is the class order.
+
+        Dots that are told by brightness (``DOTS``) count as fully lit from four fifths of the
+        range on: their wall is not known here, a rest frame shows the contrast.
+        """
+        dot = (0, 0, 204)
+        rgb = np.array([[dot if k in DOTS else v for k, v in paints.items()]], dtype=np.uint8)
         ycc = cv2.cvtColor(rgb, cv2.COLOR_RGB2YCrCb)[0].astype(np.float64)
         return cls(names=tuple(paints), chroma=ycc[:, 1:] - 128.0)
+
+    @property
+    def dots(self) -> str:
+        """Paint of dots that are told from the wall by brightness, see ``DOTS``; "" for colours."""
+        return next((name for name in self.names if name in DOTS), "")
+
+    def prepared(self, image_bgr: ImageArray) -> ImageArray:
+        """Frame as :func:`segment` reads it: dots told by brightness become coloured paint.
+
+        Frames of coloured paints, and what is no 8-bit colour image, are returned as they are.
+        """
+        colour_image = image_bgr.ndim == 3 and image_bgr.shape[2] == 3
+        if not self.dots or not colour_image or image_bgr.dtype != np.uint8:
+            return image_bgr
+        return dots_as_paint(image_bgr, self.dots)
 
     @cached_property
     def _tables(self) -> tuple[ImageArray, FloatArray]:

@@ -34,8 +34,9 @@ def check_receptors(design: Design, markers: Markers) -> list[Violation]:
                 rules.wall_min_mm,
                 "raise receptor.diameter_outer_mm or lower receptor.diameter_hole_mm",
             ),
-            "hole": (hole, rules.hole_min_mm, "raise receptor.diameter_hole_mm"),
         }
+        if design.has_switches:
+            checks["hole"] = (hole, rules.hole_min_mm, "raise receptor.diameter_hole_mm")
         found += [
             violation(rule, middle[k], measured, least, fix, marker=k)
             for rule, (measured, least, fix) in checks.items()

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.pipeline.decode import confirmed_switches, locate_in, locate_markers
+from phytac_decoder.pipeline.decode import (
+    confirmed_switches,
+    locate_in,
+    locate_markers,
+    one_frame_per_camera,
+)
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
@@ -122,7 +127,7 @@ class ImagingModel:
     ) -> None:
         nominal = make_markers(design, surface)
         self.unit, self.exposure, self.centroids = unit, exposure, centroids
-        self._given = at_rest
+        self._given, self._has_switches = at_rest, design.has_switches
         self.confirm = compliance_px is not None
         of_design = Sensor.of(design, surface, nominal)
         self.nominal = vision_bundle(
@@ -237,7 +242,8 @@ class ImagingModel:
             )
             noise = rng.standard_normal(shift.shape) * rest.noise_px / np.sqrt(light)
             shift += rest.grid_px * grid + noise
-        return MarkerReading(shift_px=shift, bits=bits.copy(), found=np.isfinite(shift[:, 0]))
+        seen = bits & self._has_switches
+        return MarkerReading(shift_px=shift, bits=seen, found=np.isfinite(shift[:, 0]))
 
     def exact(self, motion: FloatArray, bits: BoolArray, light: float = 1.0) -> FloatArray:
         """Shift (n, 2) px of each marker's paint, without noise and without what tips cover."""
@@ -376,7 +382,7 @@ class ImagingModel:
         What is not found there is expected where the design has it.
         """
         shown = []
-        for number, frame in enumerate(frames):
+        for number, frame in enumerate(one_frame_per_camera(self.nominal, frames)):
             old = self.nominal.shown_by(number)
             matched, _ = locate_in(self.nominal, number, frame)
             move = np.where(matched.found[:, None], matched.position_px - old.rest_px, 0.0)

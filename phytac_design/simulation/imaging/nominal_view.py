@@ -88,6 +88,7 @@ def measure_expected(
     markers, marks, n = sensor.markers, sensor.reference_marks, sensor.markers.count
     model, classes = colour_model(sensor.design)
     colour = classes[np.append(markers.colour, np.zeros(marks.count, dtype=np.int64))]
+    rest_frame, on_frame = model.prepared(rest_frame), model.prepared(on_frame)
     seen = [
         match_markers(
             segment(frame, model),

@@ -12,7 +12,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_design.layout import Markers
 from phytac_design.optics.light import Strip, triangle_light
-from phytac_design.optics.paint import to_srgb
+from phytac_design.optics.paint import resin_of, to_srgb
 from phytac_design.optics.render_scene import RenderScene, paint_owner
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -54,6 +54,7 @@ class PaintPoints:
         self.owner, self.camera, self.count = owner[own], camera, scene.count
         self.strip, self.paint = strip, paint
         self.chroma = colours.chroma[colour[self.owner]]
+        self.wall = np.array(resin_of(scene.paints)) if colours.dots else None
         self.counts = colours.counts
         self.pivots_mm = markers.mid_mm
         corners = self.scene.vertices[self.scene.triangles]
@@ -118,6 +119,9 @@ class PaintPoints:
         chroma_of_rgb = np.array([0.713, 0.564])
         luma_of_rgb = np.array([0.299, 0.587, 0.114])
         srgb = to_srgb(light)
+        if self.wall is not None:
+            contrast = np.abs((srgb - self.wall) @ luma_of_rgb)
+            srgb = np.outer(contrast, [0.0, 0.0, 1.0])
         luma = srgb @ luma_of_rgb
         chroma = chroma_of_rgb * (srgb[:, [0, 2]] - luma[:, None])
         size = np.linalg.norm(self.chroma, axis=1)

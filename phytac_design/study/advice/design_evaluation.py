@@ -206,7 +206,10 @@ def _view_at_rest(context: Context, folder: Path) -> None:
     each, views = views_at_rest(context.sensor, context.sensor.cameras, context.seed)
     best = best_of(each)[0]
     points = [np.where(one.lost[:, None], tip_mm, one.paint_point_mm) for one in each]
-    more = {"paint_points_mm": np.stack(points), "unreadable": best.switch_unreadable}
+    more = {
+        "paint_points_mm": np.stack(points),
+        "unreadable": best.switch_unreadable & context.design.has_switches,
+    }
     write_arrays(folder, asdict(best) | views | more)
 
 

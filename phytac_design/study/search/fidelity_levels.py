@@ -194,7 +194,7 @@ def exact(candidate: Candidate) -> Measures:
         "occluded": summary["occluded"],
         "fused": summary["fused"],
         "gap_px": summary["min_gap_px"],
-        "switch_unreadable": summary["switch_unreadable"],
+        "switch_unreadable": summary["switch_unreadable"] * candidate.design.has_switches,
     }
 
 
@@ -204,6 +204,8 @@ def switch(candidate: Candidate) -> Measures:
     from phytac_design.mechanics.switch.switch_space import Tolerance
 
     design = candidate.design
+    if not design.has_switches:
+        return {"switch_force_error": 0.0}
     tolerance = Tolerance(
         thickness_mm=design.switch.wall_tolerance_mm, modulus=design.switch.modulus_tolerance
     )
