@@ -28,7 +28,7 @@ def idle(_number: int) -> ImageArray:
 
 def opened(patch: pytest.MonkeyPatch, world: VirtualWorld, **request: Any) -> CameraDevice:
     install(patch, world)
-    settings = CaptureSettings(warm_up_s=1.0)
+    settings = CaptureSettings(warm_up_s=1.0, warm_up_least_s=0.0)
     request = {"size_px": SIZE, "settings": settings, "report": lambda _: None} | request
     device = CameraDevice(device=0, **request)
     device.open()
@@ -129,11 +129,25 @@ def test_a_picture_that_changes_when_locked_is_reported(monkeypatch: pytest.Monk
     assert "factor of 0.3" in text
 
 
+def test_automatic_control_that_begins_late_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty steady frames, and only then white balance moves, at constant brightness."""
+
+    def late(number: int) -> ImageArray:
+        blue = 100 + 3 * min(max(number - 20, 0), 20)
+        return np.full((120, 160, 3), (blue, 130, 260 - blue), dtype=np.uint8)
+
+    settings = CaptureSettings(warm_up_least_s=0.15)
+    world = VirtualWorld(picture=late)
+    opened(monkeypatch, world, settings=settings)
+    # Frames 40 to 49 are the first ten that are steady, within 2 %; ten more follow the lock.
+    assert world.last.number >= 55
+
+
 def test_brightness_that_does_not_settle_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def brighter(number: int) -> ImageArray:
         return np.full((120, 160, 3), 20 + 3 * max(number, 0) % 200, dtype=np.uint8)
 
-    settings = CaptureSettings(warm_up_s=0.2)
+    settings = CaptureSettings(warm_up_s=0.2, warm_up_least_s=0.0)
     device = opened(monkeypatch, VirtualWorld(picture=brighter), settings=settings)
     assert device.refused[0] == "to settle (its brightness still changes after 0.2 s)"
 
@@ -240,9 +254,9 @@ def test_an_unplugged_camera_is_reported_and_comes_back_with_its_settings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     world = VirtualWorld(picture=lambda _: PRESSED, period_s=0.02)
-    install(monkeypatch, world, give_up_s=30.0)
+    install(monkeypatch, world, lost_s=0.5, give_up_s=30.0)
     reported: list[str] = []
-    away = 1.2
+    away = 1.6
 
     def events(message: Message, number: int) -> None:
         if number == 10:
@@ -260,7 +274,7 @@ def test_an_unplugged_camera_is_reported_and_comes_back_with_its_settings(
         # No repeated last value.
         assert (message["code"], message["contacts"], message["koi"]) == ("camera-lost", [], [])
         assert message["total_N"] == 0.0
-        assert message["gap_s"] >= 0.2
+        assert message["gap_s"] >= 0.5
     back = next(m for m in sent if m["valid"] and "gap_s" in m)
     assert away <= back["gap_s"] < away + 2.0
     assert "take a new rest frame" in back["warnings"][-1]
@@ -297,7 +311,7 @@ def test_rest_frames_of_a_camera_that_is_lost_are_refused(monkeypatch: pytest.Mo
 
 
 def test_single_damaged_pictures_are_skipped_without_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
-    world = install(monkeypatch, VirtualWorld(picture=idle, torn=lambda n: n % 5 == 4))
+    world = install(monkeypatch, VirtualWorld(picture=idle, torn=lambda n: n % 5 == 4), lost_s=5.0)
 
     def events(_message: Message, number: int) -> None:
         if number == 20:
@@ -313,7 +327,9 @@ def test_a_size_that_changes_in_mid_stream_makes_frames_invalid(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     half = np.ascontiguousarray(PRESSED[::2, ::2])
-    world = install(monkeypatch, VirtualWorld(picture=lambda n: PRESSED if n < 40 else half))
+    world = install(
+        monkeypatch, VirtualWorld(picture=lambda n: PRESSED if n < 40 else half), lost_s=5.0
+    )
 
     def events(message: Message, _number: int) -> None:
         if not message["valid"]:
@@ -338,7 +354,7 @@ def test_pumping_exposure_is_found_on_frames(
     monkeypatch: pytest.MonkeyPatch, *, pump: float, always: bool, warned: bool
 ) -> None:
     world = VirtualWorld(picture=idle, pump=pump, pump_always=always)
-    install(monkeypatch, world, warm_up_s=0.2)
+    install(monkeypatch, world, warm_up_s=0.2, lost_s=5.0)
 
     def events(_message: Message, number: int) -> None:
         if number == 60:
@@ -354,7 +370,7 @@ def test_a_driver_that_refuses_to_lock_pumps_and_both_are_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     world = VirtualWorld(picture=idle, pump=0.2, refuse={cv2.CAP_PROP_AUTO_EXPOSURE})
-    install(monkeypatch, world, warm_up_s=0.2)
+    install(monkeypatch, world, warm_up_s=0.2, lost_s=5.0)
     reported: list[str] = []
 
     def events(message: Message, number: int) -> None:

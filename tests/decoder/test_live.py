@@ -45,7 +45,7 @@ class Failing:
 def test_an_outage_costs_as_many_frames_as_it_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_device.cv2, "VideoCapture", Failing)
     # It is not lost yet.
-    settings = CaptureSettings(lost_s=5.0)
+    settings = CaptureSettings(lost_s=5.0, warm_up_least_s=0.0)
     monkeypatch.setattr(CameraSource, "settings", settings)
     source = open_source(["0"], report=lambda _: None)
     for frame in source:

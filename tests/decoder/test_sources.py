@@ -292,7 +292,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualWorld]:
         frames=WARM_UP + 40,
         lie={cv2.CAP_PROP_FPS: 30.0},
     )
-    yield install(monkeypatch, world, lost_s=0.3, give_up_s=0.3)
+    yield install(monkeypatch, world, lost_s=0.5, give_up_s=0.5)
     assert all(camera.released for camera in world.opened)
 
 

@@ -163,7 +163,13 @@ class VirtualCamera:
 
 def install(patch: pytest.MonkeyPatch, world: VirtualWorld, **settings: float) -> VirtualWorld:
     """Let OpenCV open this camera; it is lost and given up within a test's patience."""
-    quick = {"lost_s": 0.2, "retry_s": 0.05, "give_up_s": 0.6, "warm_up_s": 1.0}
+    quick = {
+        "lost_s": 0.2,
+        "retry_s": 0.05,
+        "give_up_s": 0.6,
+        "warm_up_s": 1.0,
+        "warm_up_least_s": 0.0,
+    }
     patch.setattr(camera_device.cv2, "VideoCapture", world.open)
     patch.setattr(CameraSource, "settings", CaptureSettings(**(quick | settings)))  # type: ignore[arg-type]
     return world

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from phytac_shapes.arrays import ImageArray
+from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 
 
@@ -59,11 +59,11 @@ class CaptureSettings:
     fps : float
         Rate for that decision if none is requested.
     warm_up_frames : int
-        The least number of frames that are discarded after opening,
-    warm_up_s : float
-        and the longest time in which the brightness may settle,
+        The least number of frames that are discarded after opening, and after locking,
+    warm_up_least_s, warm_up_s : float
+        the shortest time for automatic controls to act, and the longest for them to settle:
     settled : float
-        which it has if it varies by no more than this share over five frames.
+        no channel's mean varies by more than this share over so many frames.
     lock_change_max : float
         Largest factor of brightness by which locking may change the picture without a report.
     lost_s : float
@@ -77,6 +77,7 @@ class CaptureSettings:
     raw_max_bytes_per_s: float = 24.576e6
     fps: float = 30.0
     warm_up_frames: int = 10
+    warm_up_least_s: float = 1.0
     warm_up_s: float = 3.0
     settled: float = 0.02
     lock_change_max: float = 1.25
@@ -178,7 +179,7 @@ class CameraDevice:
             self._set_mode()
             if api == cv2.CAP_V4L2:
                 self._start_automatic()
-            self._check_size(self._warm_up())
+            self._check_size(self._warm_up(self.settings.warm_up_least_s))
             if api == cv2.CAP_V4L2:
                 self._lock()
         except BaseException:
@@ -255,26 +256,29 @@ class CameraDevice:
         out = []
         for name, (key, value) in wanted.items():
             got = float(self._camera.get(key))
-            if abs(got - value) > 0.01 * value:
-                numbers = "" if name.startswith("format") else f" {value:g} (it reports {got:g})"
-                out.append(name + numbers)
+            if key == cv2.CAP_PROP_FOURCC:
+                out += [name] if got != value else []
+            elif abs(got - value) > 0.01 * value:
+                out.append(f"{name} {value:g} (it reports {got:g})")
         return out
 
-    def _warm_up(self) -> ImageArray:
-        """The first picture after the brightness has settled; those before are discarded."""
-        means: list[float] = []
+    def _warm_up(self, least_s: float = 0.0) -> ImageArray:
+        """The first picture after its brightness has settled; those before are discarded."""
+        means: list[FloatArray] = []
         image: ImageArray | None = None
-        began_s = time.monotonic()
+        began_s, frames = time.monotonic(), self.settings.warm_up_frames
         while time.monotonic() - began_s < self.settings.warm_up_s:
             taken = self.retrieve() if self.grab() else None
             if taken is None:
                 time.sleep(0.005)
                 continue
             image = taken
-            means.append(float(image[::8, ::8].mean()))
-            last = means[-5:]
-            steady = max(last) - min(last) <= self.settings.settled * max(last) + 0.5
-            if len(means) >= self.settings.warm_up_frames and steady:
+            # By channel: white balance settles more slowly than exposure.
+            means.append(image[::8, ::8].mean(axis=(0, 1)))
+            last = np.array(means[-frames:])
+            steady = np.ptp(last, axis=0) <= self.settings.settled * last.max(axis=0) + 0.5
+            long_enough = time.monotonic() - began_s >= least_s and len(means) >= frames
+            if long_enough and steady.all():
                 break
         else:
             self.refused.append(
@@ -287,7 +291,7 @@ class CameraDevice:
                 f"{self.settings.warm_up_s:g} s; unplug it and plug it in again, close other "
                 "programs that use it, or request less (--fps, --control format=mjpg)",
             )
-        self.brightness = means[-1]
+        self.brightness = float(means[-1].mean())
         return image
 
     def _check_size(self, image: ImageArray) -> None:
@@ -335,7 +339,8 @@ class CameraDevice:
         self._warm_up()
         change = max(self.brightness, 1.0) / max(before, 1.0)
         limit = self.settings.lock_change_max
-        if not again and not self.controls and not 1.0 / limit <= change <= limit:
+        given = again or {"exposure", "gain"} & set(self.controls)
+        if not given and not 1.0 / limit <= change <= limit:
             self.refused.append(
                 f"to hold its brightness when locked (it changed by a factor of {change:.2f}: give "
                 "an exposure with --control exposure=N)"
