@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from phytac_decoder.vision.picture_quality import picture_quality
 from phytac_design.cli.app import app
 from phytac_shapes.arrays import FloatArray, ImageArray
 from tests.decoder.test_marker_detection import lattice
+from tests.decoder.test_single_colour import KINDS, drawn, irregular, model_of
 from tests.decoder.test_two_views import pair
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
 from tests.decoder.virtual_camera import VirtualWorld, install
@@ -186,3 +188,30 @@ def test_the_command_reports_and_gives_a_verdict(
     assert "locked exposure=156" in done.stderr
     (*_, last) = CliRunner().invoke(app, [*words, "--json"]).stdout.splitlines()
     assert json.loads(last)["ready"] == good
+
+
+@KINDS
+def test_dots_of_one_colour_are_checked_too(paint: str, dot: int, wall: int) -> None:
+    place, near = irregular(0)
+    base = toy_bundle()
+    tips = replace(base.tips, on_px=np.full((30, 2), np.nan), red_on_px=np.zeros(30))
+    bundle = replace(
+        base,
+        colours=model_of(paint),
+        colour=np.zeros(30, dtype=np.int64),
+        rest_px=place,
+        tips=tips,
+        model=replace(base.model, neighbours=near),
+    )
+
+    def checked_at(gain: float) -> list[str]:
+        check = CameraCheck(bundle)
+        picture = np.clip(gain * drawn(place, dot, wall), 0, 255).astype(np.uint8)
+        for number in range(4):
+            check.add(
+                Frame(number=number, timestamp_s=float(number), images=(picture,), ready_s=0.0)
+            )
+        return check.problems()
+
+    assert checked_at(1.0) == []
+    assert any("dark" in text for text in checked_at(0.3))

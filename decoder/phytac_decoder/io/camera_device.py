@@ -14,7 +14,7 @@ from phytac_shapes.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Control:
+class CameraControl:
     """A camera's setting, as OpenCV's properties of V4L2 give it.
 
     Attributes
@@ -35,15 +35,15 @@ class Control:
 
 
 CONTROLS = {
-    "exposure": Control(
+    "exposure": CameraControl(
         value=cv2.CAP_PROP_EXPOSURE,
         mode=cv2.CAP_PROP_AUTO_EXPOSURE,
         automatic=3.0,  # V4L2_EXPOSURE_APERTURE_PRIORITY
         manual=1.0,  # V4L2_EXPOSURE_MANUAL
     ),
-    "gain": Control(value=cv2.CAP_PROP_GAIN),
-    "white_balance": Control(value=cv2.CAP_PROP_WB_TEMPERATURE, mode=cv2.CAP_PROP_AUTO_WB),
-    "focus": Control(value=cv2.CAP_PROP_FOCUS, mode=cv2.CAP_PROP_AUTOFOCUS, settles=False),
+    "gain": CameraControl(value=cv2.CAP_PROP_GAIN),
+    "white_balance": CameraControl(value=cv2.CAP_PROP_WB_TEMPERATURE, mode=cv2.CAP_PROP_AUTO_WB),
+    "focus": CameraControl(value=cv2.CAP_PROP_FOCUS, mode=cv2.CAP_PROP_AUTOFOCUS, settles=False),
 }
 
 

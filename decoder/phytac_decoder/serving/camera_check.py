@@ -42,7 +42,7 @@ class CheckLimits:
 
     blur_px: float = 2.0
     clipped: float = 0.01
-    dark: float = 60.0
+    dark: float = 80.0
     motion_px: float = 0.2
     scatter: float = 3.0
     rate: float = 0.9
