@@ -74,6 +74,8 @@ def live(
         view = stack.enter_context(LiveView(messages.hello(), port=port))
         kept = open_recorders(stack, record, None, [])
         report(f"{session.bundle.design}: {frames.description}; look at {view.url}; Ctrl-C stops")
+        for limit in session.bundle.limits():
+            report(f"warning: {limit}")
         stream = Stream(
             source=frames,
             decode=session.decode,

@@ -272,6 +272,18 @@ def marks_advice(sensor: Sensor, clear: BoolArray, visible_px: IntArray) -> str:
     )
 
 
+def check_marks(sensor: Sensor) -> str:
+    """Return why reference marks are of no use, see :func:`marks_advice`; "" if all are clear."""
+    if not sensor.reference_marks.count:
+        return ""
+    each = []
+    for camera in sensor.cameras:
+        scene = build_scene(sensor, tolerance_mm=tolerance_mm(camera, sensor.markers))
+        each.append(mark_visibility(sensor, scene, camera, render_frame(scene, camera)))
+    clear = np.any([seen.clear for seen in each], axis=0)
+    return marks_advice(sensor, clear, np.max([seen.visible_px for seen in each], axis=0))
+
+
 def visibility_advice(
     design: Design, markers: Markers, occluded: IntArray, fused: IntArray, hidden_by: IntArray
 ) -> str:

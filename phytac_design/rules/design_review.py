@@ -18,6 +18,7 @@ from phytac_design.optics.sharpness import lens_facts, sharpness
 from phytac_design.optics.visibility import (
     Visibility,
     best_of,
+    check_marks,
     check_visibility,
     heights_face,
     visibility_advice,
@@ -42,7 +43,14 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
     each = [check_visibility(sensor, rng=rng, camera=camera) for camera in cameras]
     seen, best = best_of(each)
     density = density_of(surface, markers)
-    summary = seen.summary(switches=design.has_switches)
+    summary, marks = seen.summary(switches=design.has_switches), check_marks(sensor)
+    advice = visibility_advice(
+        design,
+        markers,
+        np.flatnonzero(seen.occluded),
+        np.flatnonzero(seen.fused),
+        seen.hidden_by,
+    )
     return {
         "design": design.name,
         "markers": {
@@ -61,14 +69,8 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         "visibility": summary,
         "occluded_markers": np.flatnonzero(seen.occluded).tolist(),
         "fused_markers": np.flatnonzero(seen.fused).tolist(),
-        "clear": summary["occluded"] == 0 and summary["fused"] == 0,
-        "advice": visibility_advice(
-            design,
-            markers,
-            np.flatnonzero(seen.occluded),
-            np.flatnonzero(seen.fused),
-            seen.hidden_by,
-        ),
+        "clear": summary["occluded"] == 0 and summary["fused"] == 0 and not marks,
+        "advice": "; ".join(filter(None, (advice, marks))),
         "warnings": warnings_of(sensor, cameras, each, best),
         "stand_off_mm": stand_off_mm(design, surface, cameras[0]),
         "cameras": [

@@ -11,6 +11,7 @@ from phytac_design.fabrication.documents.assembly_page import assembly_html, fix
 from phytac_design.fabrication.documents.exploded import Body, part_colour, picture, switch_bodies
 from phytac_design.fabrication.documents.paint_map import (
     make_map,
+    marks_csv,
     paper_pages,
     placement_csv,
     whole_page,
@@ -38,6 +39,9 @@ def run(context: Context, folder: Path) -> None:
     export_path(folder, "bench/paint_map.pdf").write_bytes(data)
     placement = placement_csv(context.surface, markers, switches, drawn)
     write_text(folder, "bench/switch_placement.csv", placement)
+    if context.sensor.reference_marks.count:
+        marks = marks_csv(context.sensor, drawn)
+        write_text(folder, "bench/reference_marks.csv", marks)
 
     lists, hardware = parts_of(context), context.facts("hardware")
     shell_volume = float(context.facts("shell")["volume_mm3"])

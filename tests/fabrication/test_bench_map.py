@@ -14,12 +14,14 @@ from phytac_design.fabrication.documents.paint_map import (
     OVERLAP_mm,
     PaintMap,
     make_map,
+    marks_csv,
     paper_pages,
     whole_page,
 )
 from phytac_design.fabrication.documents.unroll import unroll
 from phytac_design.layout.sensor import Sensor
 from phytac_shapes.arrays import FloatArray
+from tests.designs import small
 from tests.fabrication.bench_cases import switches
 from tests.fabrication.cases import FAMILIES, built, family_design, shipped
 from tests.fabrication.document_measurements import (
@@ -223,3 +225,28 @@ def test_the_printed_page_is_true_to_scale(tmp_path: Path) -> None:
     assert len(seen) == 84
     due = paint.place_mm * [1.0, -1.0]
     assert fit_shift_mm(seen, due).max() <= 0.05
+
+
+def test_reference_marks_stand_beside_the_rim_at_their_angle(tmp_path: Path) -> None:
+    design = small(reference_marks={"count": 12, "ends": "both"})
+    sensor = Sensor(design)
+    drawing = make_map(sensor, switches(design, tmp_path))
+    marks = sensor.reference_marks
+    outline = np.concatenate(drawing.unrolled.outline)
+    low, high = outline[:, 1].min(), outline[:, 1].max()
+    beyond = np.where(marks.end == 0, low - drawing.marks_mm[:, 1], drawing.marks_mm[:, 1] - high)
+    np.testing.assert_allclose(beyond, marks.distance_mm, atol=1e-6)
+    angle = np.arctan2(marks.point_mm[:, 1], marks.point_mm[:, 0]) % (2.0 * np.pi)
+    around = drawing.marks_mm[:, 0] - outline[:, 0].min()
+    np.testing.assert_allclose(np.sort(around), np.sort(30.0 * angle), atol=0.05)
+    assert (drawing.box_mm[0] < drawing.marks_mm).all()
+    assert (drawing.box_mm[1] > drawing.marks_mm).all()
+    lines = marks_csv(sensor, drawing).splitlines()
+    assert len(lines) == 25
+    assert lines[0].startswith("mark,rim,paint,from_wall_mm,angle_deg")
+    assert lines[1].split(",")[:4] == ["M0", "near", "blue", "0.8500"]
+    picture = svg(whole_page(drawing))
+    assert "M23" in picture
+    plain = make_map(Sensor(small()), switches(small(), tmp_path / "plain"))
+    assert len(plain.marks_mm) == 0
+    assert "M0" not in svg(whole_page(plain))

@@ -13,6 +13,7 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.render_scene import build_scene, spot_owner
 from phytac_design.optics.visibility import mark_visibility, marks_advice
 from phytac_design.rules.check import check_design
+from phytac_design.rules.design_review import checkup
 from phytac_design.simulation.imaging.nominal_view import look
 from tests.designs import changed, small
 from tests.refusals import refused
@@ -107,3 +108,11 @@ def test_scenes_number_marks_after_the_markers_and_can_leave_them_out() -> None:
     assert owners.tolist() == list(range(-1, count + 12))
     assert bare.part.min() >= 0
     assert len(painted.spot_colour) == count + 12
+
+
+def test_the_review_of_a_design_names_hidden_marks() -> None:
+    good, bad = checkup(marked()), checkup(marked(reference_marks={"count": 12, "ends": "far"}))
+    assert good["clear"]
+    assert good["advice"] == ""
+    assert not bad["clear"]
+    assert "12 of 12 reference marks" in bad["advice"]

@@ -21,7 +21,7 @@ from phytac_shapes.arrays import FloatArray
 
 MARGIN_mm = 8.0
 """Edge that printers leave white."""
-HEAD_mm, FOOT_mm = 17.0, 13.0
+HEAD_mm, FOOT_mm = 20.0, 13.0
 OVERLAP_mm = 10.0
 """Strip that neighbouring sheets share."""
 BAR_mm = 100
@@ -50,6 +50,8 @@ class PaintMap:
         What each marker and its switch are called.
     paint : tuple of str
         Paint of each marker.
+    marks_mm : (r, 2) float
+        Centres of the reference marks on the map, beyond the outline of the sensing surface.
     text_mm : float
         Height of these names.
     """
@@ -62,13 +64,14 @@ class PaintMap:
     number: tuple[str, ...]
     switch: tuple[str, ...]
     paint: tuple[str, ...]
+    marks_mm: FloatArray
     text_mm: float
 
     @property
     def box_mm(self) -> FloatArray:
         """Corners [[x0, y0], [x1, y1]] of the map with its border, y upwards."""
         border_mm = 4.0  # border around the map for markers that overlap its edges
-        points = np.concatenate([*self.unrolled.outline, self.place_mm])
+        points = np.concatenate([*self.unrolled.outline, self.place_mm, self.marks_mm])
         return np.stack([points.min(axis=0) - border_mm, points.max(axis=0) + border_mm])
 
 
@@ -106,6 +109,7 @@ def make_map(sensor: Sensor, switches: SwitchSet) -> PaintMap:
         number=marker_numbers(markers),
         switch=switch_labels(switches),
         paint=tuple(names[k] for k in markers.colour),
+        marks_mm=_marks(unrolled, sensor),
         text_mm=float(np.clip(text_share * nearest, 0.9, 1.7)),
     )
 
@@ -132,6 +136,19 @@ def _ghosts(
         place = unrolled.flat(at, beyond % unrolled.pieces)
         out += list(zip(close.tolist(), place, strict=True))
     return tuple(out)
+
+
+def _marks(unrolled: UnrolledSurface, sensor: Sensor) -> FloatArray:
+    """Places (r, 2) of reference marks on the map: straight out from the edge beside them."""
+    marks, (low, high) = sensor.reference_marks, sensor.surface.domain.T
+    margin = 1e-3 * (high - low) * ~np.array(sensor.surface.periodic)
+    inside = np.clip(marks.edge_uv, low + margin, high - margin)
+    piece = unrolled.piece(inside)
+    edge = unrolled.flat(marks.edge_uv, piece)
+    out = edge - unrolled.flat(inside, piece)
+    return np.asarray(
+        edge + marks.distance_mm[:, None] * out / np.linalg.norm(out, axis=1, keepdims=True)
+    )
 
 
 def sheet_of_paper(width_mm: float, height_mm: float) -> tuple[Any, Any]:
@@ -212,6 +229,12 @@ def draw_map(axes: Any, drawn: PaintMap) -> None:
     discs(axes, drawn.place_mm, tip, facecolors=INKS["red"])
     for marker, at in enumerate(drawn.place_mm):
         names(marker, at, "#000000")
+    if not len(drawn.marks_mm):
+        return
+    across = drawn.design.reference_marks.diameter_mm
+    discs(axes, drawn.marks_mm, across / 2.0, facecolors=INKS[drawn.design.layout.colours[0]])
+    for mark, at in enumerate(drawn.marks_mm):
+        write(axes, (at[0] + across, at[1]), f"M{mark}", size)
 
 
 def whole_page(drawn: PaintMap, *, inside: bool = False) -> Any:
@@ -348,7 +371,39 @@ def map_notes(drawn: PaintMap) -> Sequence[str]:
             "tips of the switches red. Orange dashes: seams; grey: seen again across a seam."
         ),
         f"Outer face {unrolled.note}; {scale}.",
+        *_mark_notes(design),
     )
+
+
+def _mark_notes(design: Design) -> Sequence[str]:
+    """How the reference marks are painted; nothing without."""
+    table = design.reference_marks
+    if not table.count:
+        return ()
+    near, far = table.rows_mm
+    return (
+        (
+            f"M0, M1, …: reference marks, {design.layout.colours[0]} dots of "
+            f"{table.diameter_mm:g} mm on the inner side of the rim, {near:.2f} and {far:.2f} mm "
+            "from the wall by turns; M0 stands half a step aside."
+        ),
+    )
+
+
+def marks_csv(sensor: Sensor, drawn: PaintMap) -> str:
+    """CSV with a line for each reference mark."""
+    marks, design = sensor.reference_marks, sensor.design
+    rows = []
+    for k in range(marks.count):
+        x, y, _ = marks.point_mm[k]
+        angle = np.degrees(np.arctan2(y, x)) % 360.0
+        numbers = [marks.distance_mm[k], angle, *marks.point_mm[k], *drawn.marks_mm[k]]
+        rows.append(
+            [f"M{k}", ("near", "far")[marks.end[k]], design.layout.colours[0]]
+            + [f"{value + 0.0:.4f}" for value in np.round(numbers, 4)]
+        )
+    columns = "mark rim paint from_wall_mm angle_deg x_mm y_mm z_mm map_x_mm map_y_mm"
+    return csv_text(columns.split(), rows)
 
 
 def scale_bar(axes: Any, start: FloatArray, length_mm: int, *, upright: bool = False) -> None:
