@@ -291,9 +291,10 @@ def open_session(
     import signal
 
     from phytac_decoder.io.bundle import load_bundle
-    from phytac_decoder.io.frame_sources import first_frames, open_source
+    from phytac_decoder.io.frame_sources import open_source
     from phytac_decoder.io.recorded_frames import read_image
     from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+    from phytac_decoder.pipeline.rest_frames import take_rest_frames
     from phytac_decoder.serving.exposure_monitor import with_exposure_check
     from phytac_decoder.serving.sensor_loop import check_estimator, follow_decoder, frame_decoder
     from phytac_decoder.serving.torn_frames import with_torn_frame_check
@@ -326,7 +327,7 @@ def open_session(
         if not frames.live:
             begun = open_source(source, pace=False, report=options["report"])
             stack.callback(begun.close)
-        unloaded = first_frames(begun, rest_first)
+        unloaded = take_rest_frames(bundle, begun, rest_first)
     calibrated = calibrate_rest(bundle, unloaded) if unloaded else bundle
     if follow:
         decode = follow_decoder(calibrated, unloaded, estimator=chosen)

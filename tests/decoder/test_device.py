@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -10,6 +11,7 @@ import pytest
 
 from phytac_decoder.io.camera_device import CameraDevice, CaptureSettings, parse_controls
 from phytac_decoder.io.frame_sources import first_frames, open_source
+from phytac_decoder.pipeline.rest_frames import take_rest_frames
 from phytac_decoder.serving.exposure_monitor import ExposureMonitor, with_exposure_check
 from phytac_decoder.serving.sensor_loop import Stream, frame_decoder
 from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
@@ -207,7 +209,7 @@ def test_a_camera_that_gives_no_picture_is_refused(monkeypatch: pytest.MonkeyPat
 def test_rest_frames_and_stream_are_of_one_opened_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     world = install(monkeypatch, VirtualWorld(picture=idle, dark_frames=5.0))
     source = open_source(["0"], sizes_px=[SIZE], report=lambda _: None)
-    (rest,) = first_frames(source, 4)
+    (rest,) = first_frames(source, 4).mean
     source.restart()
     frame = next(iter(source))
     source.close()
@@ -308,6 +310,32 @@ def test_rest_frames_of_a_camera_that_is_lost_are_refused(monkeypatch: pytest.Mo
     with refused("rest-frames-interrupted"):
         first_frames(source, 100)
     source.close()
+
+
+@pytest.mark.parametrize(
+    ("last", "steady"),
+    [
+        (lambda: IDLE, True),
+        (lambda: toy_frame({14: 0.6}), False),  # one switch is on
+        (lambda: np.roll(IDLE, 1, axis=0), False),  # the camera moved
+        # Pressed below the switches' threshold: some markers moved, which have no red tip.
+        (lambda: np.vstack([np.roll(IDLE[:40], 1, axis=1), IDLE[40:]]), False),
+    ],
+)
+def test_rest_frames_are_those_of_a_sensor_at_rest(
+    tmp_path: Path, last: Callable[[], ImageArray], *, steady: bool
+) -> None:
+    rng = np.random.default_rng(0)
+    for number in range(6):
+        image = IDLE if number < 3 else last()
+        noisy = np.clip(image + rng.normal(0.0, 4.0, image.shape), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(tmp_path / f"{number}.png"), noisy)
+    if steady:
+        (mean,) = take_rest_frames(toy_bundle(), open_source([str(tmp_path)]), 6)
+        assert np.abs(mean.astype(float) - IDLE).mean() < 2.0
+    else:
+        with refused("rest-frames-unsteady"):
+            take_rest_frames(toy_bundle(), open_source([str(tmp_path)]), 6)
 
 
 def test_single_damaged_pictures_are_skipped_without_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,12 +10,14 @@ import pytest
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.camera_motion import MARKED
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
+from phytac_decoder.io.frame import Frame
 from phytac_decoder.io.sensor_limits import axial_rotation, symmetric_turns
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame, rest_positions
 from phytac_decoder.pipeline.frame_reading import read
 from phytac_decoder.pipeline.shell_turn import turned
 from phytac_decoder.pipeline.tracker import Follower
+from phytac_decoder.serving.camera_check import CameraCheck
 from phytac_decoder.vision.reference_marks import ReferenceMarks
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
@@ -272,3 +274,14 @@ def test_bundles_keep_marks_and_older_ones_have_none(tmp_path: Path) -> None:
     save_bundle(replace(plain, marks=wrong), tmp_path / "wrong")
     with refused("bundle-id-invalid"):
         load_bundle(tmp_path / "wrong")
+
+
+def test_a_camera_is_checked_with_marks() -> None:
+    check = CameraCheck(seeing())
+    for number in range(2):
+        report = check.add(
+            Frame(number=number, timestamp_s=float(number), images=(frame(),), ready_s=0.0)
+        )
+    assert report is not None
+    (figures,) = report["cameras"]
+    assert (figures["found"], figures["markers"]) == (SENSOR.markers.count,) * 2

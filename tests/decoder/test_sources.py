@@ -271,7 +271,7 @@ def test_first_frames_are_averaged(tmp_path: Path) -> None:
         cv2.imwrite(str(near / f"frame_{number}.png"), shade(value))
     tear(near / "frame_1.png")
     reported: list[str] = []
-    one, two = first_frames(open_source([str(near), str(far)], report=reported.append), 3)
+    one, two = first_frames(open_source([str(near), str(far)], report=reported.append), 3).mean
     assert one.dtype == np.uint8
     assert set(one.ravel().tolist()) == {round((10 + 30 + 61) / 3)}
     assert set(two.ravel().tolist()) == {round((0 + 2 + 3) / 3)}

@@ -182,7 +182,7 @@ def test_first_frames_are_not_all_held(tmp_path: Path) -> None:
         cv2.imwrite(str(folder / f"{number}.jpg"), image + np.uint8(number % 2))
     tracemalloc.start()
     try:
-        (mean,) = first_frames(open_source([str(folder)]), 60)
+        (mean,) = first_frames(open_source([str(folder)]), 60).mean
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

@@ -4,6 +4,7 @@ import stat
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,8 +222,16 @@ def open_source(
     )
 
 
-def first_frames(source: Source, count: int) -> list[ImageArray]:
-    """Mean (h, w, 3) uint8 of a source's next frames of each camera, with less noise than one.
+class FirstFrames(NamedTuple):
+    """Frames (h, w, 3) uint8 of each camera: their mean, which has less noise, and two of them."""
+
+    mean: list[ImageArray]
+    first: list[ImageArray]
+    last: list[ImageArray]
+
+
+def first_frames(source: Source, count: int) -> FirstFrames:
+    """A source's next frames.
 
     Parameters
     ----------
@@ -237,6 +246,7 @@ def first_frames(source: Source, count: int) -> list[ImageArray]:
         If there are fewer, they differ in size, or the camera is lost.
     """
     totals: list[NDArray[np.uint32]] = []
+    first: list[ImageArray] = []
     got = 0
     # Summed one by one: memory may not hold them all.
     for _, frame in zip(range(count), source, strict=False):
@@ -246,7 +256,8 @@ def first_frames(source: Source, count: int) -> list[ImageArray]:
                 f"{source.description} was lost while the rest frames were taken; plug it in "
                 "firmly, and start again",
             )
-        totals = totals or [np.zeros(image.shape, np.uint32) for image in frame.images]
+        first = first or list(frame.images)
+        totals = totals or [np.zeros(image.shape, np.uint32) for image in first]
         for total, image in zip(totals, frame.images, strict=True):
             if total.shape != image.shape:
                 raise InputError(
@@ -261,7 +272,8 @@ def first_frames(source: Source, count: int) -> list[ImageArray]:
             f"{source.description} gave {got} frames, fewer than the {count} that show the "
             "unloaded sensor; use fewer",
         )
-    return [np.rint(total / count).astype(np.uint8) for total in totals]
+    mean = [np.rint(total / count).astype(np.uint8) for total in totals]
+    return FirstFrames(mean, first, list(frame.images))
 
 
 def _device(where: str) -> int | str | None:

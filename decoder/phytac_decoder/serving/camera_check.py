@@ -157,7 +157,9 @@ class CameraCheck:
         try:
             if self._lit is None:
                 self._lit = calibrate_rest(self.bundle, frames[0])
-            places = [locate_markers(self._lit, images)[0].position_px for images in frames]
+            # Reference marks, if any, come after the markers.
+            count = len(self.bundle.colour)
+            places = [locate_markers(self._lit, images)[0].position_px[:count] for images in frames]
         except InputError as error:
             self._lit = None
             return [np.full((len(self.bundle.colour), 2), np.nan)] * len(frames), str(error)
