@@ -7,13 +7,16 @@ The sensor is a design with twelve marks on its near rim; presses, frames and ju
 """
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.camera import Bench, Outcome, decode, moved
 from benchmarks.harness import Table
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.io.sensor_limits import axial_rotation
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+from phytac_decoder.vision.reference_marks import ReferenceMarks
 from phytac_design.design.design_file import load_design
 from phytac_design.design.layout_table import ReferenceMarksSection
 from phytac_design.design.spec import Design
@@ -84,6 +87,44 @@ def add_rows(table: Table, bench: Bench) -> None:
             )
 
 
+def add_turns(table: Table, bench: Bench) -> None:
+    """Row of the shell at all symmetric turns: one press each, its switches and its place."""
+    name, camera = bench.context.design.name, bench.context.sensor.cameras[0]
+    plain, right, silent = bench.bundle, 0, 0
+    unmarked = replace(plain, marks=ReferenceMarks())
+    for step in range(1, plain.symmetry_order):
+        around = axial_rotation(step / plain.symmetry_order)
+        seen = replace(
+            camera, position_mm=camera.position_mm @ around, rotation=camera.rotation @ around
+        )
+        rest, out = bench.frame(None, seen), Outcome()
+        index = step % bench.pressed.contacts.samples
+        frame = bench.frame(index, seen)
+        reading = decode(calibrate_rest(plain, [rest]), frame)
+        bench.judge(out, index, reading)
+        pressed = np.flatnonzero(bench.pressed.switching.bits[index])
+        right += np.array_equal(np.intersect1d(reading.koi, pressed), pressed) and not out.silent
+        blind = calibrate_rest(unmarked, [rest])
+        silent += not any("orientation-ambiguous" in text for text in blind.limits())
+    table.add(
+        f"{name}, shell turned by each symmetric step: wrong switches or contacts",
+        plain.symmetry_order - 1 - right,
+        "",
+        0,
+        "project target",
+        "== 0",
+        f"{plain.symmetry_order - 1} steps of {360.0 / plain.symmetry_order:g} degrees",
+    )
+    table.add(
+        f"{name}, the same without marks: steps whose ambiguity is not reported",
+        silent,
+        "",
+        0,
+        "project target",
+        "== 0",
+    )
+
+
 def main() -> None:
     """Run all motions."""
     parser = argparse.ArgumentParser(description="What reference marks make of camera motion.")
@@ -92,7 +133,9 @@ def main() -> None:
     parser.add_argument("--dry", action="store_true", help="results are not written")
     given = parser.parse_args()
     table = Table("reference_marks", part=given.design)
-    add_rows(table, Bench(with_marks(load_design(given.design)), given.presses))
+    bench = Bench(with_marks(load_design(given.design)), given.presses)
+    add_rows(table, bench)
+    add_turns(table, bench)
     if not given.dry:
         table.write(order=[given.design])
 
