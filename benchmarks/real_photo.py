@@ -21,7 +21,7 @@ from phytac_decoder.pipeline.decode import locate_in
 from phytac_decoder.vision.segmentation import ColourModel, segment
 from phytac_design.design.design_file import parse_design
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.paint import paints_of
+from phytac_design.optics.paint import paints_of, resin_of
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import NONE
 from phytac_design.optics.visibility import occluding_parts
@@ -92,7 +92,7 @@ def camera_of(numbers: FloatArray) -> Camera:
 
 def spots(photo: ImageArray, border_px: float = 3.0) -> tuple[FloatArray, BoolArray, IntArray]:
     """Centroids (m, 2) of white spots, which ones the border does not cut (m,), boxes (m, 4)."""
-    model = ColourModel.from_rgb(paints_of(["white"]))
+    model = ColourModel.from_rgb(paints_of(["white"]), wall=resin_of(["white"]))
     blobs = segment(model.prepared(photo), model, area_min_px=6)
     last = np.array([photo.shape[1], photo.shape[0]]) - 1
     box = blobs.box_px

@@ -10,6 +10,7 @@ import tomlkit
 from pydantic import BaseModel
 from tomlkit.items import AoT, Table
 
+from phytac_design.design.paints_table import NOMINAL_PAINTS
 from phytac_design.design.spec import Design
 from phytac_design.design.toml_files import TomlFileKind
 from phytac_shapes.errors import OutputError
@@ -53,9 +54,12 @@ def design_hash(design: Design) -> str:
     """Hash of the resolved design, the same for the same fields in any order.
 
     Names of regions are left out: with others it is still the same sensor. So are reference marks
-    where there are none: designs from before they existed keep their hash.
+    where there are none and paints that were not measured: designs from before they existed keep
+    their hash.
     """
     unused = {"regions"} if design.reference_marks.count else {"regions", "reference_marks"}
+    if design.paints == NOMINAL_PAINTS:
+        unused.add("paints")
     text = json.dumps(design.model_dump(mode="json", exclude=unused), sort_keys=True)
     return sha256(text.encode()).hexdigest()
 

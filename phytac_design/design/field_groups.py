@@ -63,6 +63,7 @@ PARTS: dict[str, tuple[str, ...]] = {
         "light",
         "fixtures",
         "camera.ends",
+        "paints",
     ),
     # The mechanical shell, besides the receptors' places and heights.
     "stiffness": (

@@ -13,6 +13,7 @@ from phytac_design.design.documents_table import BenchSection, KitSection
 from phytac_design.design.fixture_table import AnyFixture
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.design.layout_table import LayoutSection, ReceptorSection, ReferenceMarksSection
+from phytac_design.design.paints_table import NOMINAL_PAINTS, PaintsSection
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.regions_table import RegionSection
 from phytac_design.design.switch_table import MoldSection, SwitchSection
@@ -268,6 +269,7 @@ class Design(Section):
     wall: WallSection = WallSection()
     layout: LayoutSection = LayoutSection()
     receptor: ReceptorSection = ReceptorSection()
+    paints: PaintsSection = NOMINAL_PAINTS
     reference_marks: ReferenceMarksSection = ReferenceMarksSection()
     switch: SwitchSection = SwitchSection()
     mold: MoldSection = MoldSection()

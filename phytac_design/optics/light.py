@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
-from phytac_design.optics.paint import BAR, FIXTURE, PAINTS, resin_of, to_linear
+from phytac_design.optics.paint import BAR, FIXTURE, paints_of, resin_of, to_linear
 from phytac_design.optics.render_scene import BAR as BAR_CODE
 from phytac_design.optics.render_scene import (
     FIRST_FIXTURE,
@@ -69,9 +69,9 @@ def albedo(scene: RenderScene, paint: FloatArray | None = None) -> FloatArray:
 
     ``paint`` (colours + 1, 3), if given, multiplies that of the scene's paints and of red (last).
     """
-    colours = to_linear(
-        np.array([resin_of(scene.paints), PAINTS["red"], *(PAINTS[k] for k in scene.paints)])
-    )
+    shown = paints_of(scene.paints, scene.table)
+    resin = resin_of(scene.paints, scene.table)
+    colours = to_linear(np.array([resin, shown["red"], *(shown[name] for name in scene.paints)]))
     if paint is not None:
         colours[1:] = np.clip(colours[1:] * np.roll(paint, 1, axis=0), 0.0, 1.0)
     marker, tip = paint_owner(scene.part), red_owner(scene.part)

@@ -4,26 +4,15 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from phytac_design.design.paints_table import NOMINAL_PAINTS, PaintsSection, Rgb
 from phytac_shapes.arrays import FloatArray
 
-PAINTS: dict[str, tuple[int, int, int]] = {
-    "blue": (28, 72, 214),
-    "green": (24, 168, 62),
-    "red": (214, 30, 34),
-    "yellow": (238, 206, 16),
-    "magenta": (206, 36, 168),
-    "cyan": (0, 182, 206),
-    "white": (236, 236, 230),
-    "black": (26, 26, 28),
+PAINTS: dict[str, Rgb] = {
+    name: rgb for name, rgb in NOMINAL_PAINTS if name not in {"resin", "resin_dark"}
 }
-"""sRGB of each paint, 8 bits (chosen here as marker pens; the paper names the colours only).
-
-``red`` is the switches' tip. See :func:`paints_of` for those of one design.
-"""
-RESIN = (176, 170, 160)
-"""sRGB of the printed resin, a warm grey."""
-RESIN_DARK = (34, 34, 36)
-"""sRGB of the black resin under white dots."""
+"""sRGB of each paint, 8 bits, unless the design measured its own; ``red`` is the switches' tip."""
+RESIN = NOMINAL_PAINTS.resin
+"""sRGB of the printed resin."""
 BAR = (255, 252, 240)
 """sRGB of the light bar, which shines."""
 FIXTURE = (84, 86, 90)
@@ -32,14 +21,14 @@ BACKGROUND = (6, 6, 7)
 """sRGB where there is nothing to see."""
 
 
-def paints_of(names: Iterable[str]) -> dict[str, tuple[int, int, int]]:
+def paints_of(names: Iterable[str], table: PaintsSection = NOMINAL_PAINTS) -> dict[str, Rgb]:
     """Return the paints that a sensor shows: its markers' (each once, in order), then red."""
-    return {name: PAINTS[name] for name in dict.fromkeys((*names, "red"))}
+    return {name: getattr(table, name) for name in dict.fromkeys((*names, "red"))}
 
 
-def resin_of(names: Iterable[str]) -> tuple[int, int, int]:
+def resin_of(names: Iterable[str], table: PaintsSection = NOMINAL_PAINTS) -> Rgb:
     """SRGB of the wall under these paints: dark under white dots."""
-    return RESIN_DARK if "white" in names else RESIN
+    return table.resin_dark if "white" in names else table.resin
 
 
 def to_linear(srgb: FloatArray) -> FloatArray:

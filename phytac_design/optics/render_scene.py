@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from phytac_design.design.fixture_table import AnyFixture, BoxFixture, CylinderFixture
+from phytac_design.design.paints_table import NOMINAL_PAINTS, PaintsSection
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
 from phytac_design.geometry.triangles import TriangleMesh, cylinder_mesh, merged
@@ -54,6 +55,8 @@ class RenderScene:
         Names of the markers' paints, keys of ``paint.PAINTS``.
     marks : int
         Number of reference marks, which have the first paint.
+    table : PaintsSection
+        What paints and resin look like.
     """
 
     vertices: FloatArray
@@ -63,6 +66,7 @@ class RenderScene:
     colour: IntArray
     paints: tuple[str, ...]
     marks: int = 0
+    table: PaintsSection = NOMINAL_PAINTS
 
     @property
     def count(self) -> int:
@@ -201,6 +205,7 @@ def build_scene(
         vertex_owner=np.concatenate([*owners, *(owner for _, _, owner in groups)]),
         colour=markers.colour,
         paints=tuple(design.layout.colours),
+        table=design.paints,
         marks=painted,
     )
 

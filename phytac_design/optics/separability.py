@@ -15,6 +15,7 @@ import numpy as np
 
 from phytac_decoder.vision.brightness import DOTS
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel
+from phytac_design.design.paints_table import NOMINAL_PAINTS, PaintsSection, Rgb
 from phytac_design.design.spec import Design
 from phytac_design.optics.light import EVEN, FROM_AXIS, FROM_CAMERA
 from phytac_design.optics.paint import paints_of, resin_of, to_linear, to_srgb
@@ -28,8 +29,8 @@ class Separability:
 
     Attributes
     ----------
-    names : (k,) str
-        Paints.
+    names, rgb : (k,) str, (k, 3) int
+        Paints, and their sRGB.
     uv : (k, 2) float
         CIE 1976 u', v' of each paint.
     chroma : (k, 2) float
@@ -49,6 +50,7 @@ class Separability:
     """
 
     names: tuple[str, ...]
+    rgb: tuple[Rgb, ...]
     uv: FloatArray
     chroma: FloatArray
     uv_noise: FloatArray
@@ -84,7 +86,11 @@ def chromaticity(rgb: FloatArray) -> FloatArray:
 
 
 def separability(
-    names: tuple[str, ...], *, noise_pixel: float, light_rgb: FloatArray | None = None
+    names: tuple[str, ...],
+    *,
+    noise_pixel: float,
+    light_rgb: FloatArray | None = None,
+    table: PaintsSection = NOMINAL_PAINTS,
 ) -> Separability:
     """Separability of the paints, with the red of the tips.
 
@@ -96,21 +102,24 @@ def separability(
         Standard deviation of the sensor noise, in grey levels of 255.
     light_rgb : (3,) float, optional
         Linear RGB of the light, its greatest channel 1; white by default.
+    table : PaintsSection
+        What the paints look like in white light.
     """
     # Least share of the full light that a painted surface gets: the even part alone.
     shade = EVEN / (EVEN + FROM_CAMERA + FROM_AXIS)
     # (Cr, Cb) of 8-bit RGB, as OpenCV's full-range YCrCb (ITU-R BT.601).
     chroma_of_rgb = np.array([[0.5, -0.4187, -0.0813], [-0.1687, -0.3313, 0.5]])
-    paints = paints_of(names)
+    paints = paints_of(names, table)
+    shown = tuple(paints.values())
+    wall = resin_of(names, table)
+    full = ColourModel.from_rgb(paints, wall=wall)
     for dot in DOTS.keys() & paints.keys():
         # As the decoder sees it: blue by its contrast to the wall, in grey levels.
-        contrast = np.abs(np.subtract(paints[dot], resin_of(names))).mean()
-        paints[dot] = (0, 0, int(contrast))
+        paints[dot] = (0, 0, int(np.abs(np.subtract(paints[dot], wall)).mean()))
     light = np.ones(3) if light_rgb is None else np.asarray(light_rgb, dtype=np.float64)
     albedo = to_linear(np.array(list(paints.values()), dtype=np.float64)) * light
     shaded = to_srgb(shade * albedo)
     chroma = shaded @ chroma_of_rgb.T
-    full = ColourModel.from_rgb(paints)
     spread = noise_pixel * float(np.linalg.svd(chroma_of_rgb, compute_uv=False)[0])
     step = 0.5
     slopes = np.stack(
@@ -134,6 +143,7 @@ def separability(
     floor = full.floor * np.linalg.norm(full.chroma, axis=1)
     return Separability(
         names=full.names,
+        rgb=shown,
         uv=uv,
         chroma=chroma,
         uv_noise=uv_noise,
@@ -158,7 +168,8 @@ def check_paints(design: Design) -> Separability:
     sigmas_min = 5.0  # least margin in standard deviations of the noise of one pixel (chosen here)
     # Least distance in u'v' (chosen here): about ten times the just noticeable difference.
     uv_min = 0.04
-    found = separability(design.layout.colours, noise_pixel=design.camera.noise_pixel)
+    noise = design.camera.noise_pixel
+    found = separability(design.layout.colours, noise_pixel=noise, table=design.paints)
     worst = int(np.argmin(np.minimum(found.hue_sigmas / sigmas_min, found.uv_distance / uv_min)))
     close = found.hue_sigmas[worst] < sigmas_min or found.uv_distance[worst] < uv_min
     if close and not design.dots:  # beside dots there are no red tips
@@ -190,8 +201,7 @@ def separability_svg(found: Separability) -> str:
     width, height = 2.0 * size + gap + 2.0 * pad, size + 2.0 * pad
     head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}"'
     parts = [f'{head} font-family="sans-serif" font-size="11">']
-    paints = paints_of(found.names)
-    colours = ["#{:02x}{:02x}{:02x}".format(*paints[name]) for name in found.names]
+    colours = ["#{:02x}{:02x}{:02x}".format(*rgb) for rgb in found.rgb]
 
     def panel(left: float, title: str, xy: FloatArray, box: FloatArray, sd: FloatArray) -> None:
         low, high = box

@@ -15,7 +15,7 @@ from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.gaps import marker_gaps
-from phytac_design.optics.paint import paints_of
+from phytac_design.optics.paint import paints_of, resin_of
 from phytac_design.optics.raster import (
     Buffers,
     marker_windows,
@@ -372,7 +372,9 @@ def _means(
 
 def fused_in_frame(frame: ImageArray, spots: NDArray[np.int32], scene: RenderScene) -> BoolArray:
     """Markers and reference marks that segmentation of ``frame`` does not separate, (n + r,)."""
-    model = ColourModel.from_rgb(paints_of(scene.paints))
+    model = ColourModel.from_rgb(
+        paints_of(scene.paints, scene.table), wall=resin_of(scene.paints, scene.table)
+    )
     blobs = segment(model.prepared(frame), model, with_labels=True)
     paint = np.array([model.names.index(name) for name in scene.paints])
     return fused_markers(np.asarray(blobs.labels), blobs.colour, spots, paint[scene.spot_colour])

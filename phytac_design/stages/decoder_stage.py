@@ -261,7 +261,7 @@ def finish(design: Design, out: Path) -> None:
 
 DECODER = Stage(
     name="decoder",
-    design_fields=("markers", "cameras", "trips", "camera.noise_centroid_px", "touch"),
+    design_fields=("markers", "cameras", "trips", "camera.noise_centroid_px", "touch", "paints"),
     depends_on=("views", "response", "places", "twin"),
     seeded=True,
     scene=("name", "networks", "regions", "reach_mm"),

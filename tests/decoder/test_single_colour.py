@@ -52,7 +52,9 @@ KINDS = pytest.mark.parametrize(("paint", "dot", "wall"), [("white", 220, 40), (
 
 
 def model_of(paint: str) -> ColourModel:
-    return ColourModel.from_rgb({paint: (0, 0, 0), "red": (214, 30, 34)})
+    grey, wall = {"white": (220, 40), "black": (30, 180)}[paint]
+    paints = {paint: (grey, grey, grey), "red": (214, 30, 34)}
+    return ColourModel.from_rgb(paints, wall=(wall, wall, wall))
 
 
 @KINDS

@@ -33,6 +33,7 @@ PARSED = {
     "evaluate": "needs data; tests/test_evaluate.py",
     "camera": "needs a camera; tests/decoder/test_camera_check.py",
     "live": "needs a camera; tests/test_cli_live.py",
+    "paints": "needs a photo; tests/optics/test_measured_paints.py",
     "serve": "needs a camera; tests/test_cli_serve.py",
     "calibrate": "needs measurements; tests/test_calibrate_cli.py",
     "simulate": "minutes; tests/test_simulate.py",

@@ -50,13 +50,18 @@ class ColourModel:
         return np.where(share >= self.floor, whole, 0.0)
 
     @classmethod
-    def from_rgb(cls, paints: Mapping[str, tuple[int, int, int]]) -> "ColourModel":
+    def from_rgb(
+        cls,
+        paints: Mapping[str, tuple[int, int, int]],
+        *,
+        wall: tuple[int, int, int] = (0, 0, 0),
+    ) -> "ColourModel":
         """Model of paints given as 8-bit RGB; their order is the class order.
 
-        Dots that are told by brightness (``DOTS``) count as fully lit from four fifths of the
-        range on: their wall is not known here, a rest frame shows the contrast.
+        Of dots that are told by brightness (``DOTS``) it holds the contrast to the ``wall``.
         """
-        dot = (0, 0, 204)
+        dots = [rgb for name, rgb in paints.items() if name in DOTS]
+        dot = (0, 0, int(np.abs(np.subtract(dots, wall)).mean())) if dots else (0, 0, 0)
         rgb = np.array([[dot if k in DOTS else v for k, v in paints.items()]], dtype=np.uint8)
         ycc = cv2.cvtColor(rgb, cv2.COLOR_RGB2YCrCb)[0].astype(np.float64)
         return cls(names=tuple(paints), chroma=ycc[:, 1:] - 128.0)

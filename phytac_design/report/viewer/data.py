@@ -197,7 +197,7 @@ def viewer_data(
             "names": [markers.name(k).strip("()") for k in range(markers.count)],
             "paint": packed(markers.colour, "<u1"),
             "paints": [
-                {"name": name, "colour": hexed(paint.PAINTS[name])}
+                {"name": name, "colour": hexed(getattr(design.paints, name))}
                 for name in design.layout.colours
             ],
         },
@@ -221,7 +221,7 @@ def _bodies(
     return [
         (
             "wall",
-            paint.RESIN,
+            paint.resin_of(design.layout.colours, design.paints),
             _outward(surface, shell_mesh(design, surface, tolerance_mm=tolerance_mm)),
         ),
         ("light bar", paint.BAR, bar_mesh(design, surface, tolerance_mm=tolerance_mm)),

@@ -19,7 +19,7 @@ from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.frame_renderer import render_frame
-from phytac_design.optics.paint import paints_of
+from phytac_design.optics.paint import paints_of, resin_of
 from phytac_design.optics.raster import owner_sums, rasterise
 from phytac_design.optics.render_scene import RenderScene, build_scene, red_owner
 from phytac_design.optics.visibility import (
@@ -60,7 +60,8 @@ class ExpectedView:
 def colour_model(design: Design) -> tuple[ColourModel, IntArray]:
     """Colour model of the paints in use, and the class of each of the design's colours."""
     names = (*dict.fromkeys(design.layout.colours), "red")
-    model = ColourModel.from_rgb(paints_of(names))
+    wall = resin_of(names, design.paints)
+    model = ColourModel.from_rgb(paints_of(names, design.paints), wall=wall)
     return model, np.array([names.index(name) for name in design.layout.colours])
 
 

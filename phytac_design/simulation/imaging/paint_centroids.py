@@ -54,7 +54,7 @@ class PaintPoints:
         self.owner, self.camera, self.count = owner[own], camera, scene.count
         self.strip, self.paint = strip, paint
         self.chroma = colours.chroma[colour[self.owner]]
-        self.wall = np.array(resin_of(scene.paints)) if colours.dots else None
+        self.wall = np.array(resin_of(scene.paints, scene.table)) if colours.dots else None
         self.counts = colours.counts
         self.pivots_mm = markers.mid_mm
         corners = self.scene.vertices[self.scene.triangles]
