@@ -15,12 +15,12 @@ from benchmarks import (
     decoder_accuracy,
     decoder_cnn,
     decoder_faults,
-    decoder_identities,
     decoder_moving,
     decoder_referee,
     decoder_shapes,
     decoder_speed,
     decoder_stream,
+    decoder_tracking,
 )
 from benchmarks.harness import Table, run_parts
 from phytac_decoder.io.bundle import Bundle, load_bundle
@@ -74,7 +74,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "linear": rest_rows,
         "speed": decoder_speed.add_rows,
         "speed_large": partial(decoder_speed.add_rows, size=decoder_speed.LARGE),
-        "names": decoder_identities.add_rows,
+        "tracking": decoder_tracking.add_rows,
         "moving": decoder_moving.add_rows,
         "stream": decoder_stream.add_rows,
         "faults": decoder_faults.add_rows,

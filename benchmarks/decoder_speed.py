@@ -90,10 +90,6 @@ class CameraSensor:
             unit_motion=found.motion,
         )
 
-    def grip(self) -> Iterator[tuple[FloatArray, BoolArray]]:
-        """Motion (n, 6) and bits (n,) of the hand, frame by frame."""
-        return Hand().frames(self, WHOLE)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Hand:
@@ -163,13 +159,15 @@ class Film:
         return follower
 
 
-def film_of(sensor: CameraSensor, chosen: range, times: float = 1.0) -> Film:
-    """Render frames ``chosen`` of the grip, its motions so many ``times`` as large."""
+def film_of(
+    sensor: CameraSensor, chosen: range, times: float = 1.0, hand: Hand | None = None
+) -> Film:
+    """Render frames ``chosen`` of a hand's grip, its motions so many ``times`` as large."""
     imaging, rng = sensor.imaging, np.random.default_rng(5)
     still, off = np.zeros((imaging.count, 6)), np.zeros(imaging.count, dtype=np.bool_)
     rest = [imaging.frame(still, off, 1.0, rng)[0] for _ in range(2)]
     before, frames, shifts, states = [], [], [], []
-    for k, (motion, bits) in enumerate(sensor.grip()):
+    for k, (motion, bits) in enumerate((hand or Hand()).frames(sensor, WHOLE)):
         if k in chosen:
             frames.append(imaging.frame(times * motion, bits, 1.0, rng)[0])
             shifts.append(imaging.exact(times * motion, bits))
@@ -258,18 +256,14 @@ def separable(sensor: CameraSensor, rest: list[ImageArray]) -> BoolArray:
     return np.asarray(full.found & near & followed.found)
 
 
-def named_wrongly(
-    bundle: Bundle, sure: BoolArray, rest_px: FloatArray, shift_px: FloatArray, found_px: FloatArray
-) -> int:
-    """Markers (n,) among the sure ones nearer to the true place of another of their colour.
+def at_wrong_place(bundle: Bundle, true_px: FloatArray, found_px: FloatArray) -> BoolArray:
+    """Markers (n,) found (n, 2) nearer to the true place of another of their colour than to theirs.
 
-    Parameters
-    ----------
-    rest_px, shift_px, found_px : (n, 2) float
-        Where each is at rest, its true shift, and where it was found; NaN where it was not.
+    NaN is a marker that was not found.
     """
-    groups = [np.flatnonzero(sure & (bundle.colour == paint)) for paint in np.unique(bundle.colour)]
-    return sum(swapped(rest_px[own] + shift_px[own], found_px[own]) for own in groups)
+    gap = np.linalg.norm(found_px[:, None] - true_px[None], axis=2)
+    gap[bundle.colour[:, None] != bundle.colour[None]] = np.inf
+    return np.asarray(gap.min(axis=1) < np.diagonal(gap))
 
 
 def add_names(table: Table, label: str, sensor: CameraSensor, film: Film, sure: BoolArray) -> None:
@@ -281,7 +275,7 @@ def add_names(table: Table, label: str, sensor: CameraSensor, film: Film, sure: 
     moved = np.stack([one.position_px for one in seen]) - follower.rest_px
     error = np.linalg.norm(moved - film.shift_px, axis=2)[:, sure]
     swaps = sum(
-        named_wrongly(bundle, sure, follower.rest_px, shift, one.position_px)
+        int(at_wrong_place(bundle, follower.rest_px + shift, one.position_px)[sure].sum())
         for one, shift in zip(seen, film.shift_px, strict=True)
     )
     largest = float(np.linalg.norm(film.shift_px, axis=2).max())
@@ -309,13 +303,6 @@ def add_names(table: Table, label: str, sensor: CameraSensor, film: Film, sure: 
     )
     value = float((bits != true).sum() / max(true.sum(), 1))
     table.add(row, value, "relative", 0.0, source, note=note)
-
-
-def swapped(true_px: FloatArray, found_px: FloatArray) -> int:
-    """How many of the markers found (n, 2) lie nearest to another one's true place (n, 2)."""
-    found = np.flatnonzero(np.isfinite(found_px[:, 0]))
-    gap = np.linalg.norm(found_px[found, None] - true_px[None], axis=2)
-    return int((np.argmin(gap, axis=1) != found).sum())
 
 
 def add_speed(

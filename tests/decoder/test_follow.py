@@ -172,20 +172,59 @@ def test_no_marker_takes_anothers_place() -> None:
     error = followed_by(Follower(make_bundle(), draw(REST)), places)
     assert np.isfinite(error).mean() > 0.999
     assert np.nanmax(np.abs(error)) < 0.5
-    # What this is worth: searching each frame by itself gives some the name of another.
+    # The deepest of these frames by itself, by the lattice alone.
     deep = places[50]
     alone = measure_frame(make_bundle(), draw(deep), rest_px=REST)
-    assert np.nanmax(np.abs(REST + alone.shift_px - deep)) > 3.0
+    assert np.nanmax(np.abs(REST + alone.shift_px - deep)) < 0.5
+
+
+def test_markers_on_their_neighbours_dots_are_put_right_within_ten_frames() -> None:
+    """A dent of most of a pitch, at once: windows land on other markers of the same colour."""
+    follower, flags = Follower(make_bundle(), draw(REST)), []
+    place = dent(np.array([160.0, 120.0]), np.array([0.0, 0.95 * PITCH]))
+    jumped = np.linalg.norm(place - REST, axis=1) > 0.5 * PITCH
+    assert np.count_nonzero(jumped) == 9
+    for k in range(10):
+        seen = follower.follow(draw(place, seed=k))
+        flags += seen.flags
+    assert seen.found.all()
+    assert np.abs(seen.position_px - place).max() < 0.5
+    assert 1 <= flags.count("the whole frame was searched") <= 2
+    # And back.
+    for k in range(10):
+        seen = follower.follow(draw(REST, seed=k))
+    assert np.abs(seen.position_px - REST).max() < 0.5
+
+
+def test_a_marker_on_anothers_dot_is_not_reported() -> None:
+    """Until the next search may take place, which then puts it right."""
+    follower = Follower(make_bundle(), draw(REST))
+    camera = follower._cameras[0]
+    camera._search_from = 3
+    swapped = [list(camera.ids).index(60), list(camera.ids).index(61)]
+    assert COLOUR[60] == COLOUR[61]
+    place = camera.place_px.copy()
+    place[swapped] = place[swapped[::-1]]
+    camera.place_px = place
+    for k in (1, 2):
+        seen = follower.follow(draw(REST, seed=k))
+        assert np.flatnonzero(~seen.found).tolist() == [60, 61]
+        assert np.nanmax(np.abs(seen.position_px - REST)) < 0.5
+    seen = follower.follow(draw(REST, seed=3))
+    assert seen.found.all()
+    assert np.abs(seen.position_px - REST).max() < 0.5
+    assert follower.follow(draw(REST, seed=4)).flags == ()
 
 
 def test_touching_markers_of_one_colour_are_parted() -> None:
-    """Two that come so near that their discs overlap by two pixels, and part again."""
+    """Two that come so near that their discs overlap by two pixels."""
     one, other = 58, 59 if COLOUR[59] == COLOUR[58] else 57
     way = (REST[other] - REST[one]) / PITCH
     follower, errors = Follower(make_bundle(), draw(REST)), []
     for k, gap in enumerate(np.concatenate([np.linspace(PITCH, 11.0, 30), [11.0] * 5])):
         place = REST.copy()
-        place[one] += (PITCH - gap) * way
+        # Each comes half of the way.
+        place[[one, other]] += 0.5 * (PITCH - gap) * np.array([way, -way])
         frame = draw(place, seed=k)
         seen = follower.follow(frame)
         errors.append(np.linalg.norm((seen.position_px - place)[[one, other]], axis=1))
@@ -311,18 +350,6 @@ def test_every_other_pixel_is_nearly_as_good() -> None:
     assert some.pixels < 0.75 * whole.pixels
     errors = [rms(followed_by(each, places)) for each in (whole, some)]
     assert errors[0] < 0.04 < errors[1] < 0.12
-
-
-def test_a_full_search_corrects_a_swapped_marker() -> None:
-    follower = Follower(make_bundle(), draw(REST))
-    camera = follower._cameras[0]
-    swapped = np.flatnonzero(camera.ids == 60)
-    # Of the same colour: the two share its paint.
-    camera.place_px[swapped] = REST[61] + np.array([1.0, -1.0])
-    wrong = follower.follow(draw(REST, seed=1)).position_px[60]
-    assert np.linalg.norm(wrong - REST[60]) > 10.0
-    assert rms(camera.search(draw(REST, seed=2)).position_px - REST) < 0.05
-    assert rms(follower.follow(draw(REST, seed=3)).position_px - REST) < 0.05
 
 
 def test_two_cameras_are_followed_each_by_itself() -> None:

@@ -216,11 +216,13 @@ def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
     return Matched(position_px=position, found=found, merged=merged), switch_on
 
 
-def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
+def locate_in(
+    bundle: Bundle, number: int, image_bgr: ImageArray, expected_px: FloatArray | None = None
+) -> tuple[Matched, BoolArray]:
     """Positions (n + r, 2) px of markers and marks that one camera shows, and switches (n,).
 
     Those that another camera reads are included, so that their paint is not assigned to a marker
-    beside them.
+    beside them. ``expected_px`` (n + r, 2) is where they are looked for, if not at rest.
     """
     camera, shown = bundle.cameras[number], bundle.shown_by(number)
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
@@ -238,6 +240,7 @@ def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Match
         rest_px=bundle.spots_shown_by(number),
         colour=bundle.spot_colour,
         neighbours=bundle.spot_neighbours,
+        expected_px=expected_px,
     )
     count = len(bundle.colour)
     found = matched.found[:count][bundle.read_by == number]

@@ -2,9 +2,11 @@
 
 ``measure_frame`` searches a whole frame. A ``Follower`` starts from a rest frame and then reads
 only small windows around the positions where markers are expected: the last position plus the
-mean velocity of the marker and its neighbours.
+mean velocity of the marker and its neighbours. A marker whose shift disagrees with its neighbours'
+is not reported, and the whole frame is searched for where each marker went.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -58,11 +60,10 @@ class FollowSettings:
     rim_excess : float
         A marker whose window's rim holds this share of its paint more than at rest has run out of
         its window.
-    step_share : float
-        A marker found farther from its expected position than this share of the distance to the
-        next of its colour is looked for again, beside the motion of its neighbours.
     gate_share : float
-        There it must be nearer than this share of the distance to any other's position.
+        A marker may be this share of the distance to the next of its colour off its expected
+        position, and off where its neighbours' shift puts it. Beyond the first it is looked for
+        again beside its neighbours; beyond the second it is on another's paint.
     wider_margins : float
         How much farther the second look reaches, in margins.
     damping : float
@@ -70,8 +71,9 @@ class FollowSettings:
     jump_px, jump_margins, jump_share : float
         A marker jumps if it is farther than this plus so many margins from where it was expected;
         a frame in which more than this share of the markers jump is rejected.
-    retry_frames : int
-        A marker that is lost for longer is looked for in every ``retry_frames``-th frame only.
+    search_frames : int
+        At least so many frames are between searches of the whole frame, and between looks for a
+        marker that is lost for longer.
     rejected_max : int
         After so many rejected frames in a row the whole frame is searched.
     hysteresis : float
@@ -91,14 +93,13 @@ class FollowSettings:
     paint_px: float = 1.5
     retry_paint_px: float = 5.0
     rim_excess: float = 0.05
-    step_share: float = 0.3
-    gate_share: float = 0.42
+    gate_share: float = 0.4
     wider_margins: float = 4.0
     damping: float = 0.8
     jump_px: float = 1.0
     jump_margins: float = 2.0
     jump_share: float = 0.3
-    retry_frames: int = 10
+    search_frames: int = 5
     rejected_max: int = 3
     hysteresis: float = 0.1
 
@@ -244,7 +245,7 @@ class CameraFollower:
         order[ids] = np.arange(len(ids))
         self._neighbours = order[bundle.spot_neighbours[ids]]
         self._around = np.ascontiguousarray(self._neighbours.T)
-        place = self._searched(frame)
+        place = self._searched(frame, self._shown_px)
         self._rivals = nearest_rivals(place, colour)
         blobs = segment(frame, bundle.colours, with_labels=True)
         xy, owner = _owned_pixels(blobs, place, colour, self._spacing)
@@ -264,12 +265,12 @@ class CameraFollower:
             moved = np.hypot(*(at_rest.centroid_px - start).T)
             sure = (at_rest.weight > 0.0) & (moved < 0.5 * np.minimum(self._spacing, 1e6))
             place = np.where(sure[:, None], at_rest.centroid_px, place)
-        self.place_px, self._velocity = place, np.zeros_like(place)
+        self.place_px, self._at_rest_px, self._velocity = place, place, np.zeros_like(place)
         self._set_limits(at_rest, self.paint.border_weight(frame))
-        self._lost_for = np.where(at_rest.weight >= self._paint_min, 0, 1)
         found = at_rest.weight >= self._paint_min
+        self._lost_for = np.where(found, 0, SETTINGS.search_frames + 1)
         self.rest_px = self._of_bundle(np.where(found[:, None], place, np.nan), np.nan)
-        self._rejected, self._clock = 0, 0
+        self._rejected, self._clock, self._search_from = 0, 0, 0
         self._set_up_tips(frame, tables[bundle.colours.names.index("red")])
 
     def _set_limits(self, at_rest: Moments, border: FloatArray) -> None:
@@ -326,12 +327,16 @@ class CameraFollower:
         expected = self.place_px + since * self._velocity
         found, got = self._find(frame, expected)
         reason = self._reason_to_reject(got, larger(found.centroid_px - expected), elapsed)
-        if not reason:
-            return self._update(frame, found, got, since)
-        self._rejected += 1
-        if self._rejected >= SETTINGS.rejected_max:
+        if reason:
+            self._rejected += 1
+            if self._rejected < SETTINGS.rejected_max:
+                raise InputError("frame-rejected", reason)
             return self.search(frame)
-        raise InputError("frame-rejected", reason)
+        stray = self._stray(found.centroid_px, got)
+        if stray.any() and self._clock >= self._search_from:
+            with suppress(InputError):  # more is found in windows than in the whole frame
+                return self.search(frame)
+        return self._update(frame, found, got & ~stray, since)
 
     def _reason_to_reject(self, got: BoolArray, away: FloatArray, elapsed: float) -> str:
         """Why a frame is rejected; "" for a sound one."""
@@ -361,23 +366,30 @@ class CameraFollower:
         InputError
             See :func:`phytac_decoder.pipeline.decode.locate_in`.
         """
-        self.place_px, self._velocity[:] = self._searched(frame), 0.0
-        out = self._update(frame, *self._find(frame, self.place_px), 0.0)
+        self._search_from = self._clock + SETTINGS.search_frames
+        self.place_px, self._velocity[:] = self._searched(frame, self.place_px), 0.0
+        found, got = self._find(frame, self.place_px)
+        out = self._update(frame, found, got & ~self._stray(found.centroid_px, got), 0.0)
         flag = f"the whole frame{self._bundle.of_camera(self._number)} was searched"
         return out._replace(flags=(*out.flags, flag))
 
-    def _searched(self, frame: ImageArray) -> FloatArray:
-        """Positions (m, 2) px by a search of the whole frame.
+    def _searched(self, frame: ImageArray, expected: FloatArray) -> FloatArray:
+        """Positions (m, 2) px by a search of the whole frame, near the expected ones (m, 2).
 
-        Touching markers of one colour are one blob, which is matched to one of them: it then lies
-        off the position that the neighbours' motion predicts, and the other has no blob. Both are
-        expected where their neighbours' motion puts them.
+        Hidden markers, and touching ones, which are one blob, are expected where their neighbours'
+        motion puts them.
         """
-        matched, _ = locate_in(self._bundle, self._number, frame)
-        off = matched.position_px[self.ids] - self._shown_px
-        usual = np.nan_to_num(neighbour_median(off, self._neighbours))
-        right = np.hypot(*(off - usual).T) < 0.25 * self._spacing
-        return np.asarray(self._shown_px + np.where(right[:, None], off, usual))
+        matched, _ = locate_in(self._bundle, self._number, frame, self._of_bundle(expected, np.nan))
+        alone = (matched.found & ~matched.merged)[self.ids]
+        off = np.where(alone[:, None], matched.position_px[self.ids] - self._shown_px, 0.0)
+        off[~alone] = self._neighbour_mean(off, alone)[~alone]
+        return np.asarray(self._shown_px + off)
+
+    def _stray(self, place: FloatArray, got: BoolArray) -> BoolArray:
+        """Markers (m,) that are not where their neighbours' shift puts them: on another's paint."""
+        off = np.where(got[:, None], place - self._at_rest_px, 0.0)
+        apart = larger(off - self._neighbour_mean(off, got))
+        return np.asarray(got & (apart > SETTINGS.gate_share * self._spacing))
 
     def _find(self, frame: ImageArray, expected: FloatArray) -> tuple[Moments, BoolArray]:
         """Paint of all markers near their expected positions, and which of them are found."""
@@ -385,10 +397,10 @@ class CameraFollower:
         away = larger(found.centroid_px - expected)
         got = found.weight >= self._paint_min
         got &= found.rim <= self._rim_max * found.weight
-        got &= away <= SETTINGS.step_share * self._spacing
+        got &= away <= SETTINGS.gate_share * self._spacing
         again = self._retried & ~got
-        if self._clock % SETTINGS.retry_frames:
-            again &= self._lost_for <= SETTINGS.retry_frames
+        if self._clock % SETTINGS.search_frames:
+            again &= self._lost_for <= SETTINGS.search_frames
         if again.any():
             self._look_again(frame, expected, found, got, np.flatnonzero(again))
         return found, got

@@ -1,9 +1,10 @@
-"""Assignment of blobs to markers by k-medoids from the rest frame."""
+"""Assignment of blobs to markers by k-medoids."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from phytac_decoder.vision.lattice_matching import smoothest_shifts
 from phytac_decoder.vision.segmentation import Blobs
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -29,7 +30,8 @@ class Matched:
 
 def nearest_same_colour_px(rest_px: FloatArray, colour: IntArray) -> FloatArray:
     """Distance (n,) of each marker to the nearest other marker of its own colour, px."""
-    distance = np.linalg.norm(rest_px[:, None] - rest_px[None], axis=2)
+    x, y = rest_px.T
+    distance = np.hypot(x[:, None] - x, y[:, None] - y)
     distance[colour[:, None] != colour[None]] = np.inf
     np.fill_diagonal(distance, np.inf)
     return np.asarray(distance.min(axis=1))
@@ -62,13 +64,15 @@ def match_markers(
     rest_px: FloatArray,
     colour: IntArray,
     neighbours: IntArray,
+    expected_px: FloatArray | None = None,
 ) -> Matched:
-    """Assign every blob to the medoid (expected position) nearest to it, of its own colour.
+    """Assign every blob to the nearest medoid (expected position) of its own colour.
 
-    As in the paper the number of clusters is known: one per marker, with the rest coordinates as
-    first medoids. A marker that its own tip splits into several blobs gets the weighted
-    mean of all of them. After each pass the medoids move with the median motion of the marker and
-    its neighbours, so that a pressed marker near another one's rest position keeps its identity.
+    As in the paper the number of clusters is known: one per marker. The medoids are the rest
+    positions, shifted as smoothly over neighbours as the blobs allow
+    (:func:`phytac_decoder.vision.lattice_matching.smoothest_shifts`), so that a marker near
+    another one's rest position keeps its identity. A marker that its own tip splits into several
+    blobs gets the weighted mean of all of them.
 
     Parameters
     ----------
@@ -80,6 +84,8 @@ def match_markers(
         Colour of each marker, as in ``blobs.colour``.
     neighbours : (n, 8) int
         Neighbour ids, -1 beyond a rim.
+    expected_px : (n, 2) float, optional
+        Where markers are looked for: finite where ``rest_px`` is, which it is if not given.
     """
     ids = np.flatnonzero(np.isfinite(rest_px).all(axis=1))
     position, merged = np.full_like(rest_px, np.nan), np.zeros(len(rest_px), dtype=np.bool_)
@@ -88,26 +94,34 @@ def match_markers(
         number = np.full(len(rest_px) + 1, -1, dtype=np.int64)
         number[ids] = np.arange(len(ids))
         near = number[neighbours[ids]]
-        position[ids], merged[ids] = _match_shown(blobs, rest_px[ids], colour[ids], near)
+        expected = rest_px if expected_px is None else expected_px
+        position[ids], merged[ids] = _match_shown(
+            blobs, rest_px[ids], colour[ids], near, expected[ids]
+        )
     return Matched(position_px=position, found=np.isfinite(position[:, 0]), merged=merged)
 
 
 def _match_shown(
-    blobs: Blobs, rest_px: FloatArray, colour: IntArray, neighbours: IntArray
+    blobs: Blobs,
+    rest_px: FloatArray,
+    colour: IntArray,
+    neighbours: IntArray,
+    expected_px: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
     """Positions (n, 2) of markers that are all shown, NaN where not found, and merged ones."""
-    gate = 0.6 * np.minimum(nearest_same_colour_px(rest_px, colour), 200.0)
-    medoid = rest_px.copy()
-    position, owner = np.full_like(rest_px, np.nan), np.full(len(blobs.colour), -1)
-    with_own = np.column_stack([np.arange(len(rest_px)), neighbours])
-    for _ in range(3):
-        owner = _owners(blobs, medoid, colour, gate)
-        position = _centroids(blobs, owner, len(rest_px))
-        motion = position - rest_px
-        shift = np.nan_to_num(neighbour_median(motion, with_own))
-        own = np.isfinite(motion[:, 0])
-        shift[own] = (shift[own] + motion[own]) / 2.0
-        medoid = rest_px + shift
+    spacing = np.minimum(nearest_same_colour_px(rest_px, colour), 200.0)
+    shift = smoothest_shifts(
+        blobs.centroid_px,
+        blobs.colour,
+        rest_px=rest_px,
+        expected_px=expected_px,
+        colour=colour,
+        neighbours=neighbours,
+        spacing_px=spacing,
+    )
+    medoid = rest_px + fill_from_neighbours(shift, neighbours)
+    owner = _owners(blobs, medoid, colour, 0.6 * spacing)
+    position = _centroids(blobs, owner, len(rest_px))
     return position, _merged(blobs, owner, medoid, colour, np.isfinite(position[:, 0]))
 
 
@@ -119,7 +133,8 @@ def _owners(blobs: Blobs, medoid: FloatArray, colour: IntArray, gate: FloatArray
         pick = np.flatnonzero(blobs.colour == paint)
         if len(pick) == 0:
             continue
-        distance = np.linalg.norm(blobs.centroid_px[pick, None] - medoid[ids][None], axis=2)
+        (x, y), (at_x, at_y) = blobs.centroid_px[pick].T, medoid[ids].T
+        distance = np.hypot(x[:, None] - at_x, y[:, None] - at_y)
         nearest = np.argmin(distance, axis=1)
         near = distance[np.arange(len(pick)), nearest] <= gate[ids[nearest]]
         owner[pick[near]] = ids[nearest[near]]
