@@ -111,8 +111,8 @@ def _placed(design: Design, surface: Surface, lift_mm: float) -> PlacedMarks:
                 f"{table.count} reference marks of {table.diameter_mm:g} mm are too close around a "
                 f"rim of {rim.length_mm:.1f} mm; lower reference_marks.count or diameter_mm",
             )
-        along = step * (number + np.where(number == 0, 0.5, 0.0))
-        along = rim.clear_of_corners(along, 1.5 * table.diameter_mm)
+        even = np.asarray(step * (number + np.where(number == 0, 0.5, 0.0)), dtype=np.float64)
+        along = rim.clear_of_corners(even, 1.5 * table.diameter_mm)
         flat = np.column_stack([along, rows])
         outline = (flat[:, None] + circle).reshape(-1, 2)
         parts.append(
@@ -135,9 +135,9 @@ def _placed(design: Design, surface: Surface, lift_mm: float) -> PlacedMarks:
             edge_uv=np.zeros((0, 2)),
             distance_mm=np.zeros(0),
         )
-    end, numbers, point, outline, uv, distance = map(np.concatenate, zip(*parts, strict=True))
+    ends, numbers, point, outline, uv, distance = map(np.concatenate, zip(*parts, strict=True))
     return PlacedMarks(
-        end=end,
+        end=ends,
         number=numbers,
         point_mm=point,
         outline_mm=outline,

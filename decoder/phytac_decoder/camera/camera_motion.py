@@ -192,9 +192,8 @@ class CameraMotion:
         demand = ((np.abs(b) - 2.0 * spread) / self.sd).reshape(len(enough), -1).max(axis=1)
         sd = self.sd * np.repeat(np.maximum(demand, 1.0), MOTION_UNKNOWNS)
         precision = information + np.diag(sd**-2.0)
-        return MarkedMotion(
-            mean=np.linalg.solve(precision, posterior @ b), precision=precision, marked=marked
-        )
+        mean = np.asarray(np.linalg.solve(precision, posterior @ b), dtype=np.float64)
+        return MarkedMotion(mean=mean, precision=precision, marked=marked)
 
     @cached_property
     def _own(self) -> BoolArray:
@@ -206,7 +205,8 @@ class CameraMotion:
         self, d: FloatArray, used: BoolArray, prior: FloatArray, noise_px: float
     ) -> tuple[FloatArray, FloatArray, float]:
         """Return motion (q,), what marks tell of it (q, q) and their reduced χ²; robust."""
-        share, b, residual = used.astype(np.float64), np.zeros(self.count), d
+        share: FloatArray = used.astype(np.float64)
+        b, residual = np.zeros(self.count), d
         for _ in range(ROBUST_ITERATIONS):
             weight = np.repeat(share, 2) / noise_px**2
             rows = self.first * weight
@@ -216,12 +216,13 @@ class CameraMotion:
             b, old = b + step, share
             residual = d - self.shift_px(b)
             off = np.hypot(residual[::2], residual[1::2])
-            usual = max(float(np.sort(off[used])[used.sum() // 2]), noise_px)
-            share = used * np.minimum(1.0, (3.0 * usual / np.maximum(off, 1e-12)) ** 2)
-            moved = np.abs(step @ self.first).max()
+            usual = max(float(np.sort(off[used])[np.count_nonzero(used) // 2]), noise_px)
+            weighed = np.minimum(1.0, np.square(3.0 * usual / (off + 1e-12)))
+            share = np.where(used, weighed, 0.0)
+            moved = float(np.abs(step @ self.first).max())
             if moved < 0.1 * noise_px and np.abs(share - old).max() < 0.01:
                 break
-        freedom = max(2 * np.count_nonzero(used) - MOTION_UNKNOWNS, 1)
+        freedom = max(2 * int(np.count_nonzero(used)) - MOTION_UNKNOWNS, 1)
         return b, information, float(residual @ (weight * residual)) / freedom
 
     def masked(self, found: BoolArray) -> "CameraMotion":

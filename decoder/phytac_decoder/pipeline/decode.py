@@ -124,7 +124,7 @@ class FrameMeasurement:
         return [
             f"{text} since the rest frame, more than its mount allows; take a new rest frame, and "
             "fasten the camera (--mount handheld allows for more)"
-            for text in camera.excess(motion, self.marked and self.marked.marked)
+            for text in camera.excess(motion, self.marked.marked if self.marked else None)
         ]
 
     def _motion(self, bundle: Bundle, found: ContactDetection | None) -> FloatArray:
