@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.camera.camera_motion import MARKED
+from phytac_decoder.camera.camera_motion import MARKED, MarkedMotion
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.io.sensor_limits import axial_rotation, symmetric_turns
@@ -28,7 +28,9 @@ from phytac_design.simulation.imaging.nominal_view import (
     vision_bundle,
 )
 from phytac_shapes.arrays import FloatArray, ImageArray
+from tests.decoder.flat_sensor import flat_locator, nearest, shifts
 from tests.decoder.test_bundle_locator import bundle as bundle_with_tables
+from tests.decoder.test_camera_motion import motion as motion_of
 from tests.decoder.test_camera_motion import moved
 from tests.designs import small
 from tests.refusals import refused
@@ -92,6 +94,38 @@ def test_marks_show_a_motion_far_beyond_the_mount(name: str) -> None:
     # zoom from distance: there the mount's prior, three standard deviations off, counts.
     assert 0.4 < np.mean(surprise) / 7.0 < (2.5 if "zoom" in name else 1.5)
     assert found.marked.all()
+
+
+def test_a_motion_along_the_axis_far_beyond_the_mount_widens_its_prior() -> None:
+    table, b = seeing().mark_motion, [0, 0, 0.8, 0, 0, 0, 0]
+    assert table is not None
+    found = table.estimate_by_marks(mark_shift(b), NOISE_PX)
+    assert found is not None
+    # One rim tells distance from focal length ten times worse than a motion across.
+    spread = np.sqrt(np.diagonal(np.linalg.inv(found.precision)))
+    assert spread[2] > 10.0 * spread[0]
+    assert found.mean[2] == pytest.approx(0.8, abs=0.03)
+
+
+def test_what_marks_leave_open_is_the_prior_of_contacts() -> None:
+    at = np.array([30.0, 30.0, 0.0])
+    koi, seen = np.array([nearest(at)]), shifts(at, 8.0).reshape(-1, 2)
+    table = motion_of("handheld")
+    model = replace(
+        bundle_with_tables().model,
+        locator=replace(flat_locator(noise_px=0.02), camera_motion=table),
+        camera_motion=table,
+    )
+    sure = MarkedMotion(
+        mean=np.zeros(7), precision=1e12 * np.eye(7), marked=np.ones(7, dtype=np.bool_)
+    )
+    open_sd, marked_sd = (
+        model.contacts(seen, koi, marked=marked).contacts[0].raw_sd_N for marked in (None, sure)
+    )
+    assert model.locator is not None
+    still = replace(model.locator, camera_motion=None).find(seen, koi).contacts[0].raw_sd_N
+    assert marked_sd == pytest.approx(still, rel=0.01)
+    assert open_sd > 1.02 * still
 
 
 def test_one_wrong_mark_does_not_matter_and_half_of_them_do() -> None:
@@ -233,6 +267,10 @@ def test_all_tables_turn_alike() -> None:
             before = one.forces(estimator, shift, order[koi])
             after = two.forces(estimator, shift[order], koi)
             np.testing.assert_allclose(after, before[order], atol=1e-9)
+        for name in ("rest_px", "tip_bias_px"):
+            np.testing.assert_array_equal(getattr(out, name), getattr(plain, name)[order])
+        for name in ("on_px", "red_rest_px", "red_on_px"):
+            np.testing.assert_array_equal(getattr(out.tips, name), getattr(plain.tips, name)[order])
         # The image of every point of the shell is that of where it has come.
         points = rng.normal(scale=10.0, size=(9, 3))
         np.testing.assert_allclose(
