@@ -3,10 +3,12 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from phytac_decoder.io.bundle import load_bundle
+from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.io.recorded_frames import read_image
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
@@ -15,7 +17,9 @@ from phytac_decoder.serving.sensor_loop import check_estimator
 from phytac_design.design.spec import Design
 from phytac_design.optics.separability import check_paints
 from phytac_design.rules.check import check_design
+from phytac_design.simulation.dataset import decode_points
 from phytac_design.stages.build import build
+from phytac_shapes.arrays import FloatArray, IntArray
 from tests.designs import of_shape
 from tests.refusals import refused
 
@@ -95,3 +99,32 @@ def test_as_many_contacts_as_can_be_found_are_doubtful(built: Path) -> None:
     four = replace(reading.found, contacts=reading.found.contacts * 4)
     (text,) = measured.warnings(bundle, reading.forces_N, found=four)
     assert "4 contacts are the most" in text
+
+
+def test_forces_are_compared_with_the_inverse_on_the_same_receptors(
+    built: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With no switch on, the inverse that a result is checked by would be nothing."""
+    sums: list[float] = []
+
+    def recorded(bundle: Bundle, found: object, inverse_N: FloatArray) -> list[str]:
+        sums.append(float(inverse_N.sum()))
+        return []
+
+    monkeypatch.setattr("phytac_decoder.pipeline.frame_reading.implausible", recorded)
+    bundle = load_bundle(built / "decoder")
+    pressed = measure_frame(bundle, read_image(built / "views" / "frame_pressed.png"))
+    reading = read(bundle, pressed, "auto")
+    assert sums == [pytest.approx(reading.forces_N.sum(), rel=0.5)]
+
+
+def test_simulated_switches_are_not_read_where_there_are_none() -> None:
+    def forces(_estimator: str, _shift: FloatArray, koi: IntArray) -> FloatArray:
+        return np.full(3, float(len(koi)))
+
+    model = SimpleNamespace(without_switches=True, forces=forces)
+    on = SimpleNamespace(bits=np.ones((2, 3), dtype=bool))
+    data = SimpleNamespace(shift_px=np.zeros((2, 3, 2)), switching=on)
+    assert not decode_points(model, data, "auto").any()  # type: ignore[arg-type]
+    model.without_switches = False
+    assert decode_points(model, data, "auto").all()  # type: ignore[arg-type]

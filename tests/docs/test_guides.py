@@ -170,6 +170,23 @@ def test_counts_of_the_comparison_are_those_of_the_designs() -> None:
     assert f"{744 / area:.2f}" == "3.29"
 
 
+def test_figures_of_the_photo_are_measured() -> None:
+    text = (ROOT / "docs" / "published-sensors.md").read_text()
+    rows = json.loads((ROOT / "benchmarks" / "results" / "real_photo.json").read_text())["rows"]
+    value = {row["case"].partition(": ")[2]: row["value"] for row in rows}
+    clear, found = value["dots predicted clear"], value["dots that the decoder finds"]
+    agree = value["dots for which prediction and decoder agree"]
+    for part in (
+        f"RMS | – | {value['reprojection RMSE']:.1f} px",
+        f"median {value['reprojection error, median']:.2g} px",
+        f"| dots of their own | {clear} | {found} ",
+        f"| hidden by others | {value['dots predicted hidden']} |",
+        f"| fused with a neighbour | {value['dots predicted fused in our segmentation']},",
+        f"agree on {agree:.0f} % of",
+    ):
+        assert part in text
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_links_lead_somewhere(page: Path) -> None:
     text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
