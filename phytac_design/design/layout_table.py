@@ -20,6 +20,8 @@ class ReferenceMarksSection(Section):
     """Rims that carry them; those of a sheet or dome have one end, the near one."""
     diameter_mm: float = assumed(1.2, gt=0.0, le=100.0)
     """Diameter of a dot. Dots stand in two rows beside the wall, alternately."""
+    gap_mm: float = assumed(0.25, ge=0.0, le=100.0)
+    """From the end of the sensing surface to the nearer row; keeps brush strokes off the wall."""
 
     @model_validator(mode="after")
     def _enough(self) -> Self:
@@ -38,8 +40,7 @@ class ReferenceMarksSection(Section):
     @property
     def rows_mm(self) -> tuple[float, float]:
         """Distances of the two rows of dots from the end of the sensing surface."""
-        # A quarter of a millimetre keeps brush strokes off the wall, which moves.
-        first = 0.25 + self.diameter_mm / 2.0
+        first = self.gap_mm + self.diameter_mm / 2.0
         return first, first + self.diameter_mm
 
     @property

@@ -146,12 +146,15 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
 
 
 def _with_marks(design: Design, surface: Surface, end: int, rim: FloatArray) -> FloatArray:
-    """Points of a rim and of the strip beside it that carries reference marks."""
-    low, high = surface.domain[1]
-    uv = np.full((len(rim), 2), surface.domain[0, end])
-    uv[:, 1] = np.linspace(low, high, len(rim), endpoint=not surface.periodic[1])
-    strip = rim + design.reference_marks.reach_mm * conormals(surface, uv, 0, end)
-    return np.concatenate([rim, strip])
+    """Points of a rim and of the strips that carry reference marks, all around a sheet."""
+    strips, offset = [rim], -design.wall.thickness_mm
+    for axis, side in [(0, end)] if surface.periodic[1] else surface.edges():
+        low, high = surface.domain[1 - axis]
+        uv = np.full((len(rim), 2), surface.domain[axis, side])
+        uv[:, 1 - axis] = np.linspace(low, high, len(rim), endpoint=not surface.periodic[1 - axis])
+        out = conormals(surface, uv, axis, side)
+        strips.append(surface.point(uv, offset) + design.reference_marks.reach_mm * out)
+    return np.concatenate(strips)
 
 
 def fit_stand_off_mm(

@@ -88,7 +88,7 @@ def place_reference_marks(design: Design, surface: Surface) -> PlacedMarks:
             "reference-marks-rim",
             f"the rim is too short for reference marks: they need {table.reach_mm:.2f} mm (got "
             f"wall.rim_length_mm = {design.wall.rim_length_mm:g}); raise it, or lower "
-            "reference_marks.diameter_mm",
+            "reference_marks.diameter_mm or gap_mm",
         )
     return _placed(design, surface, 0.0)
 

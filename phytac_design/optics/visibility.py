@@ -268,7 +268,7 @@ def marks_advice(sensor: Sensor, clear: BoolArray, visible_px: IntArray) -> str:
         f"no camera sees {len(hidden)} of {marks.count} reference marks clearly (on the {ends} "
         f"rim, {int(visible_px[hidden].min())} px of the worst; needed: {PIXELS_MIN} px, half of "
         "its paint, and free of markers): set reference_marks.ends to a rim before a camera, "
-        "raise reference_marks.diameter_mm, or lower its count"
+        "raise its gap_mm (away from markers) or diameter_mm, or change its count"
     )
 
 

@@ -242,6 +242,7 @@ def ring(seed: int = 0) -> Bundle:
     stiffness = rng.normal(size=(30, 30))
     return replace(
         plain,
+        tip_bias_px=rng.normal(size=(30, 2)),
         position_mm=position,
         head_mm=position * [0.8, 0.8, 1.0],
         colour=column % 2,

@@ -11,7 +11,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout.mark_placement import place_reference_marks
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.render_scene import build_scene, spot_owner
-from phytac_design.optics.visibility import mark_visibility, marks_advice
+from phytac_design.optics.visibility import check_marks, mark_visibility, marks_advice
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.simulation.imaging.nominal_view import look
@@ -86,6 +86,13 @@ def test_every_mark_is_seen_apart_from_the_markers() -> None:
     assert marks_advice(sensor, shot.marks.clear, shot.marks.visible_px) == ""
     expected = sensor.cameras[0].project(sensor.reference_marks.point_mm)
     np.testing.assert_allclose(shot.expected.marks_px, expected, atol=0.5)
+
+
+@pytest.mark.parametrize("shape", ["cone", "cuboid", "hemisphere", "plane", "grip"])
+def test_the_camera_of_every_shape_sees_all_marks(shape: str) -> None:
+    # Beside a flat wall the nearer row would be hidden by the receptors along the edge.
+    gap_mm = 1.5 if shape == "plane" else 0.25
+    assert check_marks(Sensor(changed(shape, reference_marks={**TWELVE, "gap_mm": gap_mm}))) == ""
 
 
 def test_marks_on_a_rim_that_no_camera_sees_are_named() -> None:
