@@ -324,3 +324,25 @@ def test_a_camera_is_checked_with_marks() -> None:
     assert report is not None
     (figures,) = report["cameras"]
     assert (figures["found"], figures["markers"]) == (SENSOR.markers.count,) * 2
+
+
+def test_each_of_two_cameras_is_corrected_by_its_own_rim() -> None:
+    design = small(
+        reference_marks={"count": 12, "ends": "both"},
+        camera={"ends": "both"},
+        layout={"rows": 4, "columns": 8, "heights": "constant", "height_near_mm": 2.0},
+    )
+    sensor = Sensor(design)
+    views = expected_views(sensor)
+    plain = replace(vision_bundle(sensor, views), marks=bundle_marks(sensor, views)).with_mount()
+    assert plain.marks.read_by.tolist() == [0] * 12 + [1] * 12
+    scene = build_scene(sensor, tolerance_mm=0.03)
+    near, far = sensor.cameras
+    still = render_frame(scene, near)
+    ready = calibrate_rest(plain, [still, render_frame(scene, far)])
+    motion = [0, 0.3, 0, 0, 0, 3e-3, 0]
+    seen = measure_frame(ready, [still, render_frame(scene, moved(far, motion))])
+    assert seen.marked is not None
+    np.testing.assert_allclose(seen.marked.mean[:2], 0.0, atol=0.01)
+    np.testing.assert_allclose(seen.marked.mean[[7, 8, 12]], [0, 0.3, 3e-3], atol=0.01)
+    assert float(np.nanmax(np.abs(seen.shift_px))) < 0.3
