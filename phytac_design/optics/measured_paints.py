@@ -59,19 +59,17 @@ def measure_paints(
     else:
         found, painted = _hues(photo_bgr, design, names)
         wall_name = "resin"
-    # Wall in the light: the brighter half, without what is black because nothing is there.
     wall = pixels[~painted]
-    luma = wall.mean(axis=1)
-    lit = (
-        wall[(luma >= np.median(luma[luma > 16.0])) & (luma < 250.0)]
-        if np.any(luma > 16.0)
-        else wall
-    )
-    if wall_name == "resin_dark":
-        lit = wall
-    found[wall_name] = _median_rgb(lit)
+    found[wall_name] = _median_rgb(wall if wall_name == "resin_dark" else _lit(wall))
     paints = design.paints.model_copy(update=found)
     return paints, check_paints(design.model_copy(update={"paints": paints}))
+
+
+def _lit(wall: ImageArray) -> ImageArray:
+    """Brighter half of pixels (n, 3) that are neither black nor clipped; all if none is."""
+    luma = wall.mean(axis=1)
+    shown = (luma > 16.0) & (luma < 250.0)
+    return wall[shown & (luma >= np.median(luma[shown]))] if shown.any() else wall
 
 
 def _median_rgb(pixels_bgr: ImageArray | FloatArray) -> Rgb:
@@ -162,7 +160,7 @@ def _hues(
 def _chroma(pixels_bgr: ImageArray) -> FloatArray:
     """(Cr, Cb) - 128 of pixels (n, 3)."""
     ycc = cv2.cvtColor(np.ascontiguousarray(pixels_bgr)[None], cv2.COLOR_BGR2YCrCb)[0]
-    return ycc[:, 1:].astype(np.float64) - 128.0
+    return np.asarray(ycc[:, 1:].astype(np.float64) - 128.0)
 
 
 def _clusters(unit: FloatArray, count: int) -> tuple[IntArray, FloatArray]:
