@@ -27,10 +27,9 @@ from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
-from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.heights_along import along_mm, middle_mm
 from phytac_design.optics.frame_renderer import render_frame
-from phytac_design.optics.render_scene import build_scene
+from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.stages.frames_stage import FrameContacts, draw_frame_contacts
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 from phytac_shapes.errors import PhytacError
@@ -132,18 +131,17 @@ class Bench:
         # The presses are of a linear shell.
         self.bundle: Bundle = replace(plain, model=plain.model.linear)
         self.pressed: FrameContacts = draw_frame_contacts(self.context)
+        self.scenes = PressedScene(self.context.sensor, self.context.sensor.cameras[0])
 
     def frame(self, index: int | None, camera: Camera) -> ImageArray:
         """Noisy frame of one press, or at rest (None), through a camera."""
-        sensor, pressed = self.context.sensor, self.pressed
-        bits = None if index is None else pressed.switching.bits[index]
-        tolerance = tolerance_mm(sensor.cameras[0], sensor.markers)
-        scene = build_scene(sensor, tolerance_mm=tolerance, switch_on=bits)
+        motion = np.zeros((self.context.markers.count, 6))
+        bits = np.zeros(self.context.markers.count, dtype=np.bool_)
         if index is not None:
-            motion = pressed.motion[index]
-            scene = scene.moved(motion[:, :3], motion[:, 3:], sensor.markers.mid_mm)
+            motion, bits = self.pressed.motion[index], self.pressed.switching.bits[index]
+        scene = self.scenes.scene(motion, bits)
         rng = np.random.default_rng([7, 0 if index is None else index + 1])
-        noise = sensor.design.camera.noise_pixel
+        noise = self.context.design.camera.noise_pixel
         return render_frame(scene, camera, noise_std=noise, rng=rng)
 
     def truths(self, index: int) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:

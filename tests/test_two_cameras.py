@@ -17,7 +17,12 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.stages.build import build
-from phytac_design.stages.frames_stage import FrameContacts, draw_frame_contacts, render_sample
+from phytac_design.stages.frames_stage import (
+    FrameContacts,
+    camera_scenes,
+    draw_frame_contacts,
+    render_sample,
+)
 from tests.designs import of_shape
 from tests.refusals import refused
 
@@ -105,10 +110,13 @@ def presses(design: Design, count: int) -> tuple[Context, FrameContacts]:
 def decoded(bundle: Bundle, design: Design, count: int) -> tuple[float, float, int]:
     """Mean error and mean force (N) of all forces in a frame, and switches read wrongly."""
     context, pressed = presses(design, count)
-    rest = rest_positions(bundle, render_sample(context, pressed, None))
+    scenes = camera_scenes(context)
+    rest = rest_positions(bundle, render_sample(context, scenes, pressed, None))
     off, force, wrong = [], [], 0
     for index, bits in enumerate(pressed.switching.bits):
-        measured = measure_frame(bundle, render_sample(context, pressed, index), rest_px=rest)
+        measured = measure_frame(
+            bundle, render_sample(context, camera_scenes(context), pressed, index), rest_px=rest
+        )
         truth = pressed.switching.receptor_force_N[index]
         off.append(abs(measured.forces_N(bundle, "koi_inverse").sum() - truth.sum()))
         force.append(truth.sum())
@@ -147,7 +155,8 @@ def test_wrong_frames_are_rejected(built: dict[str, Path], pick: Any, code: str)
 
 def test_one_camera_takes_one_frame(built: dict[str, Path]) -> None:
     bundle = load_bundle(built["near"] / "decoder")
-    (frame,) = render_sample(*presses(cylinder("near"), 1), 0)
+    context, pressed = presses(cylinder("near"), 1)
+    (frame,) = render_sample(context, camera_scenes(context), pressed, 0)
     alone, listed = measure_frame(bundle, frame), measure_frame(bundle, [frame])
     np.testing.assert_array_equal(alone.shift_px, listed.shift_px)
     with refused("camera-count"):

@@ -37,8 +37,17 @@ def boundary_mm(surface: Surface, offset_mm: float, count: int = 256) -> FloatAr
     )
 
 
-def divisions(surface: Surface, offset_mm: float, along: int, tolerance_mm: float) -> int:
-    """Cells along chart axis ``along`` whose chords stay within ``tolerance_mm`` of the face."""
+def divisions(
+    surface: Surface,
+    offset_mm: float,
+    along: int,
+    tolerance_mm: float,
+    longest_mm: float = np.inf,
+) -> int:
+    """Cells along chart axis ``along`` whose chords stay within ``tolerance_mm`` of the face.
+
+    No chord is longer than ``longest_mm``.
+    """
     divisions_max = 4096
     limits = surface.domain
     other = np.linspace(limits[1 - along, 0], limits[1 - along, 1], 17)
@@ -49,20 +58,24 @@ def divisions(surface: Surface, offset_mm: float, along: int, tolerance_mm: floa
         uv[..., along], uv[..., 1 - along] = steps[None], other[:, None]
         p = surface.point(uv.reshape(-1, 2), offset_mm).reshape(*uv.shape[:2], 3)
         off = p[:, 1::2] - (p[:, :-1:2] + p[:, 2::2]) / 2.0
-        if float(np.linalg.norm(off, axis=-1).max()) <= tolerance_mm:
+        chord = np.linalg.norm(p[:, 2::2] - p[:, :-1:2], axis=-1)
+        near = float(np.linalg.norm(off, axis=-1).max()) <= tolerance_mm
+        if near and float(chord.max()) <= longest_mm:
             break
         cells *= 2
     return cells
 
 
-def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> TriangleMesh:
+def shell_mesh(
+    design: Design, surface: Surface, *, tolerance_mm: float, longest_mm: float = np.inf
+) -> TriangleMesh:
     """Inner face over the whole domain, a rim flush with it along every open edge, rims' ends.
 
     Only what the cameras see: the outer face, and the end of a tube without a camera before it, are
-    left out.
+    left out. Sides of the inner face's cells are at most ``longest_mm`` long.
     """
     closed = surface.periodic[1]
-    u, v, face = _inner_face(design, surface, tolerance_mm)
+    u, v, face = _inner_face(design, surface, tolerance_mm, longest_mm)
     meshes = [grid_mesh(face, closed=closed, poles=surface.poles)]
     if design.wall.rim_length_mm > 0.0:
         ends = surface.edges()
@@ -74,12 +87,12 @@ def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Tria
 
 
 def _inner_face(
-    design: Design, surface: Surface, tolerance_mm: float
+    design: Design, surface: Surface, tolerance_mm: float, longest_mm: float = np.inf
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Stations of the chart and the inner face there, (rows, columns, 3) mm."""
     offset = -design.wall.thickness_mm
     u, v = (
-        np.linspace(low, high, divisions(surface, offset, axis, tolerance_mm) + 1)
+        np.linspace(low, high, divisions(surface, offset, axis, tolerance_mm, longest_mm) + 1)
         for axis, (low, high) in enumerate(surface.domain)
     )
     u, v = untwisted(surface, u, v, tolerance_mm)

@@ -157,6 +157,7 @@ def build_scene(
     tolerance_mm: FloatArray | float,
     switch_on: BoolArray | None = None,
     marks: bool = True,
+    wall_cell_mm: float = np.inf,
 ) -> RenderScene:
     """Shell, rims, light bar, fixtures, reference marks and all receptors as triangles.
 
@@ -169,6 +170,8 @@ def build_scene(
         Switches whose red tip is out; none by default.
     marks : bool
         Whether reference marks are painted.
+    wall_cell_mm : float
+        Longest side of the inner face's cells, where it is to move (:mod:`.pressed_scene`).
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     on = np.zeros(markers.count, dtype=bool) if switch_on is None else np.asarray(switch_on)
@@ -176,7 +179,10 @@ def build_scene(
     least = float(tolerance.min())
     shell_tolerance = min(least, 0.1 * float(markers.height_mm.min()))
     fixed = [
-        (shell_mesh(design, surface, tolerance_mm=shell_tolerance), SHELL),
+        (
+            shell_mesh(design, surface, tolerance_mm=shell_tolerance, longest_mm=wall_cell_mm),
+            SHELL,
+        ),
         (bar_mesh(design, surface, tolerance_mm=least), BAR),
         *(
             (fixture_mesh(fixture, tolerance_mm=least), FIRST_FIXTURE + number)

@@ -9,9 +9,9 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.core import html as page
 from phytac_design.engine.stage import Context
-from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.optics.frame_renderer import render_frame
-from phytac_design.optics.render_scene import build_scene
+from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_shapes.arrays import FloatArray, ImageArray
 
@@ -106,17 +106,13 @@ def press_pictures(
         "whole": window(camera, np.zeros(2), camera.width_px, width_px),
         "close": close_to(camera, markers.tip_mm[marker], width_px),
     }
-    pictures: dict[str, list[bytes]] = {name: [] for name in views}
-    for step in range(steps):
-        for name, view in views.items():
-            scene = build_scene(
-                context.sensor,
-                tolerance_mm=tolerance_mm(view, markers),
-                switch_on=bits[step],
-            )
-            moved = share[step] * motion
-            scene = scene.moved(moved[:, :3], moved[:, 3:], markers.mid_mm)
-            pictures[name].append(_jpeg(render_frame(scene, view, samples=4)))
+    pictures: dict[str, list[bytes]] = {}
+    for name, view in views.items():
+        scenes = PressedScene(context.sensor, view)
+        pictures[name] = [
+            _jpeg(render_frame(scenes.scene(share[step] * motion, bits[step]), view, samples=4))
+            for step in range(steps)
+        ]
     return PressPictures(
         force_N=force, on=bits.sum(axis=1), marker=marker, camera=number, **pictures
     )

@@ -1,6 +1,7 @@
 """The whole way through images: press, render, find, decode; and example frames for the user."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,13 @@ from phytac_decoder.io.bundle import load_bundle
 from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
-from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.heights_along import along_mm, middle_mm
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.optics.frame_renderer import render_frame
-from phytac_design.optics.render_scene import build_scene
+from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
 from phytac_design.simulation.force_errors import score_contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
@@ -98,26 +98,33 @@ def _large(
     return ReceptorKinematics(mesh, surface, uv, receptor.diameter_outer_mm / 2.0).large(motion)
 
 
+def camera_scenes(context: Context) -> list[PressedScene]:
+    """Scenes of the sensor before each of its cameras."""
+    return [PressedScene(context.sensor, camera) for camera in context.sensor.cameras]
+
+
 def render_sample(
-    context: Context, pressed: FrameContacts, index: int | None, motion: FloatArray | None = None
+    context: Context,
+    scenes: Sequence[PressedScene],
+    pressed: FrameContacts,
+    index: int | None,
+    motion: FloatArray | None = None,
 ) -> tuple[ImageArray, ...]:
     """Noisy frame of each camera of one sample, or of the unloaded sensor (None).
 
-    ``motion`` (n, 6) stands in for the sample's own.
+    ``scenes`` are those of :func:`camera_scenes`; ``motion`` (n, 6) replaces the sample's own.
     """
-    design, markers = context.design, context.markers
-    bits = None if index is None else pressed.switching.bits[index]
+    bits = np.zeros(context.markers.count, dtype=np.bool_)
+    still = np.zeros((context.markers.count, 6))
+    if index is not None:
+        bits = pressed.switching.bits[index]
+        still = pressed.motion[index] if motion is None else motion
     rng = np.random.default_rng([context.seed, 3, 0 if index is None else index + 1])
-    frames = []
-    for camera in context.sensor.cameras:
-        tolerance = tolerance_mm(camera, markers)
-        scene = build_scene(context.sensor, tolerance_mm=tolerance, switch_on=bits)
-        if index is not None:
-            motion = pressed.motion[index] if motion is None else motion
-            scene = scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)
-        noise = design.camera.noise_pixel
-        frames.append(render_frame(scene, camera, noise_std=noise, rng=rng))
-    return tuple(frames)
+    noise = context.design.camera.noise_pixel
+    return tuple(
+        render_frame(scene.scene(still, bits), camera, noise_std=noise, rng=rng)
+        for scene, camera in zip(scenes, context.sensor.cameras, strict=True)
+    )
 
 
 def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> None:
@@ -133,7 +140,8 @@ def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> Decode
     bundle = replace(bundle, model=bundle.model.linear)
     bits = pressed.switching.bits
     tally = DecodedFrames(forces_N={name: np.zeros(bits.shape) for name in bundle.model.estimators})
-    rest_frames = render_sample(context, pressed, None)
+    scenes = camera_scenes(context)
+    rest_frames = render_sample(context, scenes, pressed, None)
     write_frames(folder, "frame_rest", rest_frames)
     rest_px = bundle.rest_px
     try:
@@ -141,15 +149,14 @@ def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> Decode
     except InputError as error:  # only a forced build of markers that cannot be seen gets here
         tally.rejected.append(str(error))
     truth = pressed.switching.receptor_force_N[pressed.example]
-    write_frames(
-        folder, "frame_pressed", render_sample(context, pressed, pressed.example, pressed.shown)
-    )
+    example = render_sample(context, scenes, pressed, pressed.example, pressed.shown)
+    write_frames(folder, "frame_pressed", example)
     export_path(folder, "views/frame_pressed.json").write_text(
         json.dumps({str(i): round(float(truth[i]), 4) for i in np.flatnonzero(truth)})
     )
     for index, on in enumerate(bits):
         context.progress(f"frames: {index + 1} of {len(bits)}")
-        frames = render_sample(context, pressed, index)
+        frames = render_sample(context, scenes, pressed, index)
         try:
             measured = measure_frame(bundle, frames, rest_px=rest_px)
         except InputError as error:

@@ -75,7 +75,10 @@ something that is held, swung or dropped."""
 
 @dataclass(frozen=True, kw_only=True)
 class CameraMotion:
-    """Shifts of n markers by the motion of one or two cameras, q = 7 unknowns each.
+    """Shifts of n markers by the motion of one or two cameras, 7 unknowns each, and by light.
+
+    All q unknowns are called b. The last ones, if any, are changes of light and focus since the
+    rest frame (:mod:`phytac_decoder.pipeline.light_response`).
 
     Attributes
     ----------
@@ -89,6 +92,8 @@ class CameraMotion:
         Standard deviations of the prior.
     precision : (q, q) float, optional
         Inverse covariance of the prior, where reference marks tell more than the mount.
+    light : int
+        Number of unknowns that are of light.
     """
 
     first: FloatArray
@@ -96,6 +101,7 @@ class CameraMotion:
     pair: IntArray
     sd: FloatArray
     precision: FloatArray | None = None
+    light: int = 0
 
     @property
     def count(self) -> int:
@@ -108,38 +114,61 @@ class CameraMotion:
         return np.diag(self.sd**-2.0) if self.precision is None else self.precision
 
     def shift_px(self, b: FloatArray) -> FloatArray:
-        """Return the shifts (2n,) px by a motion (q,)."""
+        """Return the shifts (2n,) px by b (q,), or by the cameras' motion alone (its first part)."""
+        first = self.first[: len(b)]
         # The second order of so small a motion is far below noise and costs more than the first.
-        if np.abs(b / self.sd).max(initial=0.0) < 0.05:
-            return np.asarray(b @ self.first)
+        if np.abs(b / self.sd[: len(b)]).max(initial=0.0) < 0.05:
+            return np.asarray(b @ first)
         products = b[self.pair[0]] * b[self.pair[1]]
         products[self.pair[0] == self.pair[1]] *= 0.5
-        return np.asarray(b @ self.first + products @ self.second)
+        return np.asarray(b @ first + products @ self.second)
 
-    def excess(self, b: FloatArray, marked: BoolArray | None = None) -> list[str]:
-        """Return what of a motion (q,) is more than three standard deviations, in words.
+    @property
+    def motions(self) -> int:
+        """Number of unknowns that are of the cameras' motion."""
+        return self.count - self.light
 
-        ``marked`` (q,) unknowns may be as large as reference marks can show.
+    def with_light(self, first: FloatArray, sd: FloatArray) -> "CameraMotion":
+        """Return the same with shifts (l, 2n) by changes of light, and the sds (l,) of these."""
+        return replace(
+            self,
+            first=np.concatenate([self.first[: self.motions], first]),
+            sd=np.concatenate([self.sd[: self.motions], sd]),
+            light=len(sd),
+        )
+
+    def given_marks(self, marked: "MarkedMotion") -> "CameraMotion":
+        """Return the same with what reference marks tell of the motion as its prior."""
+        precision = np.diag(self.sd**-2.0)
+        precision[: self.motions, : self.motions] = marked.precision
+        return replace(self, precision=precision)
+
+    def excess(self, b: FloatArray, marked: "MarkedMotion | None" = None) -> list[str]:
+        """Return what of b (q,) is more than three standard deviations, in words.
+
+        With ``marked``, which b is relative to, a motion may be as large as marks can show.
         """
         out, limit = [], MOVED_SDS * self.sd
+        cameras = self.motions // MOTION_UNKNOWNS
         if marked is not None:
-            wide = np.tile(MARKED.sd, self.count // MOTION_UNKNOWNS)
-            limit = np.where(marked, np.maximum(limit, wide), limit)
-        for number, one in enumerate(np.split(b, self.count // MOTION_UNKNOWNS)):
-            far = np.abs(one) > limit[MOTION_UNKNOWNS * number :][:MOTION_UNKNOWNS]
+            b = b + np.append(marked.mean, np.zeros(self.light))
+            wide = np.where(marked.marked, np.tile(MARKED.sd, cameras), 0.0)
+            limit = np.maximum(limit, np.append(wide, np.zeros(self.light)))
+        far = np.abs(b) > limit
+        for number in range(cameras):
+            own = slice(MOTION_UNKNOWNS * number, MOTION_UNKNOWNS * (number + 1))
+            one, much = b[own], far[own]
             words = (
-                (far[:3], f"moved by {1e3 * np.linalg.norm(one[:3]):.0f} µm"),
-                (far[3:6], f"turned by {np.degrees(np.linalg.norm(one[3:6])):.2f}°"),
-                (far[6:], f"changed its focal length by {100.0 * one[6]:+.2f} %"),
+                (much[:3], f"moved by {1e3 * np.linalg.norm(one[:3]):.0f} µm"),
+                (much[3:6], f"turned by {np.degrees(np.linalg.norm(one[3:6])):.2f}°"),
+                (much[6:], f"changed its focal length by {100.0 * one[6]:+.2f} %"),
             )
             found = [text for mask, text in words if mask.any()]
             if found:
-                name = (
-                    "camera"
-                    if self.count == MOTION_UNKNOWNS
-                    else ("near camera", "far camera")[number]
-                )
+                name = "camera" if cameras == 1 else ("near camera", "far camera")[number]
                 out.append(f"the {name} has {' and '.join(found)}")
+        if far[motion:].any():
+            out.append("light, exposure or focus have changed")
         return out
 
     def free_of_motion(self, rows: FloatArray, noise_px: float) -> FloatArray:

@@ -114,7 +114,7 @@ class ForceModel:
             )
         motion = self.camera_motion
         if motion and marked:
-            motion = replace(motion, precision=marked.precision)
+            motion = motion.given_marks(marked)
         return self.locator.find(shift_px, koi, before=before, camera_motion=motion)
 
     def apparent_mm(self, shift_px: FloatArray) -> FloatArray:

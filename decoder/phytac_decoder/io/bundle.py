@@ -248,7 +248,6 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
             "names": list(bundle.colours.names),
             "chroma": bundle.colours.chroma.tolist(),
             "floor": bundle.colours.floor,
-            "ramp": bundle.colours.ramp,
         },
         "networks": {
             name: {
@@ -440,8 +439,6 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
             names=tuple(meta["colours"]["names"]),
             chroma=np.asarray(meta["colours"]["chroma"], dtype=np.float64),
             floor=float(meta["colours"]["floor"]),
-            # Up to schema 1.5 there was none.
-            ramp=float(meta["colours"].get("ramp", 0.0)),
         ),
         colour=arrays["colour"],
         position_mm=arrays["position_mm"],

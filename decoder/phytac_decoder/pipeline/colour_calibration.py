@@ -12,6 +12,7 @@ import numpy as np
 
 from phytac_decoder.io.bundle import Bundle, CameraView
 from phytac_decoder.pipeline.decode import Frames, locate_in, one_frame_per_camera
+from phytac_decoder.pipeline.light_response import with_light_response
 from phytac_decoder.pipeline.shell_turn import oriented
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
@@ -52,6 +53,8 @@ class ColourSettings:
         share ``growth_anyway`` of all samples.
     paint_max, tip_max : float
         Largest share of all samples that may be of one marker's paint, and of the tips'.
+    edge_sds : float
+        Edges of markers count down to so many standard deviations of the bare wall.
     """
 
     lit: float = 0.88
@@ -71,13 +74,14 @@ class ColourSettings:
     growth_anyway: float = 0.005
     paint_max: float = 0.5
     tip_max: float = 0.1
+    edge_sds: float = 3.0
 
 
 SETTINGS = ColourSettings()
 
 
 def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
-    """Bundle for this sensor in this light: its colours, rest positions and tips as measured.
+    """Bundle for this sensor in this light: colours, rest positions, tips, response to light.
 
     What the rest frame does not show stays as it was.
 
@@ -111,13 +115,14 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     def read(each: list[FloatArray]) -> FloatArray:
         return np.asarray(np.stack(each)[bundle.read_by, own])
 
-    return replace(
+    calibrated = replace(
         lit,
         shown=tuple(shown) if bundle.shown else (),
         marks=replace(lit.marks, rest_px=marks_px),
         rest_px=read([item.rest_px for item in shown]),
         tips=replace(bundle.tips, on_px=read([item.tips.on_px for item in shown])),
     )
+    return with_light_response(calibrated, frames)
 
 
 def calibrated_colours(bundle: Bundle, frames: Sequence[ImageArray]) -> ColourModel:
@@ -170,7 +175,21 @@ def fit_colours(model: ColourModel, chroma: FloatArray, paint: IntArray) -> Colo
         _check_seen(model, level, paint)
         centre = np.stack([np.nanmedian(level[paint == k], axis=0) for k in seen])
         now = replace(model, chroma=_full(model, centre, seen))
-    return replace(now, floor=_floor(now, chroma, seen))
+    now = replace(now, floor=_floor(now, chroma, seen))
+    wall, edge = _wall(now, chroma)
+    return replace(now, wall=wall, edge=edge)
+
+
+def _wall(model: ColourModel, chroma: FloatArray) -> tuple[FloatArray, float]:
+    """Share (k,) of each paint that the unpainted samples show, and one above their noise."""
+    full = np.linalg.norm(model.chroma, axis=1)
+    share = chroma.reshape(-1, 2) @ (model.chroma / full[:, None]).T / full
+    bare = share[(share < 0.5 * model.floor).all(axis=1)]
+    wall = np.median(bare, axis=0)
+    spread = 1.4826 * float(np.median(np.abs(bare - wall), axis=0).max())
+    edge = np.clip(SETTINGS.edge_sds * spread, model.edge, model.floor)
+    # Subtracted where it adds to paint only: elsewhere it keeps noise below the edge.
+    return np.maximum(wall, 0.0), float(edge)
 
 
 def _levels(model: ColourModel, chroma: FloatArray, paint: IntArray) -> FloatArray:

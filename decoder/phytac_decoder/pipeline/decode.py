@@ -119,12 +119,10 @@ class FrameMeasurement:
         camera, motion = bundle.model.camera_motion, self._motion(bundle, found)
         if camera is None or not len(motion):
             return []
-        if self.marked:
-            motion = motion + self.marked.mean
         return [
             f"{text} since the rest frame, more than its mount allows; take a new rest frame, and "
             "fasten the camera (--mount handheld allows for more)"
-            for text in camera.excess(motion, self.marked.marked if self.marked else None)
+            for text in camera.excess(motion, self.marked)
         ]
 
     def _motion(self, bundle: Bundle, found: ContactDetection | None) -> FloatArray:

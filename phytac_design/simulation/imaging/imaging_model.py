@@ -302,7 +302,7 @@ class ImagingModel:
     def _hiding(self, motion: FloatArray, bits: BoolArray) -> FloatArray:
         """How far what hides parts of a marker moves its centroid, over that at rest, (n, 2) px."""
         each = [
-            _occlusion_px(simulated, simulated.scene(motion, bits, follow=False)) - rest
+            _occlusion_px(simulated, simulated.scene(motion, bits, wall_follows=False)) - rest
             for simulated, rest in zip(self.cameras, self._hiding_at_rest, strict=True)
         ]
         return np.asarray(np.stack(each)[self.nominal.read_by, np.arange(self.count)])
