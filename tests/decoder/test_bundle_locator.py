@@ -112,16 +112,6 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
     )
 
 
-def test_pixels_count_as_they_did_in_older_bundles(tmp_path: Path) -> None:
-    save_bundle(toy_bundle(), tmp_path)
-    assert load_bundle(tmp_path).colours.ramp == toy_bundle().colours.ramp > 0.0
-    path = tmp_path / "bundle.json"
-    meta = json.loads(path.read_text())
-    del meta["colours"]["ramp"]
-    path.write_text(json.dumps(meta))
-    assert load_bundle(tmp_path).colours.ramp == 0.0
-
-
 def test_corrections_reach_as_far_as_they_did_in_older_bundles(tmp_path: Path) -> None:
     save_bundle(bundle(), tmp_path)
     path = tmp_path / "bundle.json"

@@ -114,7 +114,7 @@ class CameraMotion:
         return np.diag(self.sd**-2.0) if self.precision is None else self.precision
 
     def shift_px(self, b: FloatArray) -> FloatArray:
-        """Return the shifts (2n,) px by b (q,), or by the cameras' motion alone (its first part)."""
+        """Return the shifts (2n,) px by b (q,), or by its first part: the cameras' motion alone."""
         first = self.first[: len(b)]
         # The second order of so small a motion is far below noise and costs more than the first.
         if np.abs(b / self.sd[: len(b)]).max(initial=0.0) < 0.05:
@@ -167,7 +167,7 @@ class CameraMotion:
             if found:
                 name = "camera" if cameras == 1 else ("near camera", "far camera")[number]
                 out.append(f"the {name} has {' and '.join(found)}")
-        if far[motion:].any():
+        if far[self.motions :].any():
             out.append("light, exposure or focus have changed")
         return out
 

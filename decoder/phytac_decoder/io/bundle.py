@@ -196,7 +196,7 @@ class Bundle:
             return None
         marks = self.marks
         table = tabulate_camera_motion(self.cameras, marks.read_by, marks.point_mm, MOUNTS["bench"])
-        return replace(table, sd=motion.sd)
+        return replace(table, sd=motion.sd[: motion.motions])
 
     def shown_by(self, number: int) -> CameraView:
         """Return the view of a camera."""

@@ -176,20 +176,20 @@ def fit_colours(model: ColourModel, chroma: FloatArray, paint: IntArray) -> Colo
         centre = np.stack([np.nanmedian(level[paint == k], axis=0) for k in seen])
         now = replace(model, chroma=_full(model, centre, seen))
     now = replace(now, floor=_floor(now, chroma, seen))
-    wall, edge = _wall(now, chroma)
-    return replace(now, wall=wall, edge=edge)
+    bare, edge = _bare(now, chroma)
+    return replace(now, bare=bare, edge=edge)
 
 
-def _wall(model: ColourModel, chroma: FloatArray) -> tuple[FloatArray, float]:
+def _bare(model: ColourModel, chroma: FloatArray) -> tuple[FloatArray, float]:
     """Share (k,) of each paint that the unpainted samples show, and one above their noise."""
     full = np.linalg.norm(model.chroma, axis=1)
     share = chroma.reshape(-1, 2) @ (model.chroma / full[:, None]).T / full
-    bare = share[(share < 0.5 * model.floor).all(axis=1)]
-    wall = np.median(bare, axis=0)
-    spread = 1.4826 * float(np.median(np.abs(bare - wall), axis=0).max())
+    unpainted = share[(share < 0.5 * model.floor).all(axis=1)]
+    bare = np.median(unpainted, axis=0)
+    spread = 1.4826 * float(np.median(np.abs(unpainted - bare), axis=0).max())
     edge = np.clip(SETTINGS.edge_sds * spread, model.edge, model.floor)
     # Subtracted where it adds to paint only: elsewhere it keeps noise below the edge.
-    return np.maximum(wall, 0.0), float(edge)
+    return np.maximum(bare, 0.0), float(edge)
 
 
 def _levels(model: ColourModel, chroma: FloatArray, paint: IntArray) -> FloatArray:

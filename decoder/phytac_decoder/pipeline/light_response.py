@@ -75,8 +75,9 @@ def with_light_response(bundle: Bundle, rest_frames: Frames) -> Bundle:
     sds: list[float] = []
     for disturb, size, sd in disturbances:
         matched, _ = locate_markers(bundle, [disturb(frame) for frame in frames])
-        shift = matched.position_px - still
-        sound = ~matched.merged & (np.hypot(*shift.T) < SETTINGS.shift_max_px)
+        # Reference marks follow the markers.
+        shift = (matched.position_px - still)[: len(bundle.colour)]
+        sound = ~matched.merged[: len(shift)] & (np.hypot(*shift.T) < SETTINGS.shift_max_px)
         for camera in range(len(frames)):
             for paint in np.unique(bundle.colour):
                 own = sound & (bundle.read_by == camera) & (bundle.colour == paint)

@@ -117,7 +117,8 @@ def turned(bundle: Bundle, step: int) -> Bundle:
         model = replace(model, locator=replace(_locator(locator, order, turn), blind=blind))
     if bundle.model.camera_motion:
         table = tabulate_camera_motion(cameras, out.read_by, out.head_mm, MOUNTS["bench"])
-        table = replace(table, sd=bundle.model.camera_motion.sd)
+        motion = bundle.model.camera_motion
+        table = replace(table, sd=motion.sd[: motion.motions])
         model = model.with_camera_motion(table, bundle.noise_centroid_px)
     return replace(out, model=model)
 

@@ -35,7 +35,7 @@ class ColourModel:
     edge : float
         Pixels of this share of full chroma and more count where they touch painted ones: the edge
         of a marker counts in part, as far as paint covers its pixels.
-    wall : (k,) float, optional
+    bare : (k,) float, optional
         Share of each paint's full chroma that the bare wall shows; none if not given.
     """
 
@@ -43,7 +43,7 @@ class ColourModel:
     chroma: FloatArray
     floor: float = 0.3
     edge: float = 0.08
-    wall: FloatArray | None = None
+    bare: FloatArray | None = None
 
     def counts(self, share: FloatArray) -> FloatArray:
         """Weights of pixels by their share of their paint's full chroma; 0 below the edge.
@@ -64,13 +64,15 @@ class ColourModel:
     ) -> "ColourModel":
         """Model of paints given as 8-bit RGB; their order is the class order.
 
-        Of dots that are told by brightness (``DOTS``) it holds the contrast to the ``wall``.
+        Of dots that are told by brightness (``DOTS``) it holds the contrast to the ``wall``; a
+        rest frame shows from which share on their edges count.
         """
         dots = [rgb for name, rgb in paints.items() if name in DOTS]
         dot = (0, 0, int(np.abs(np.subtract(dots, wall)).mean())) if dots else (0, 0, 0)
         rgb = np.array([[dot if k in DOTS else v for k, v in paints.items()]], dtype=np.uint8)
         ycc = cv2.cvtColor(rgb, cv2.COLOR_RGB2YCrCb)[0].astype(np.float64)
-        return cls(names=tuple(paints), chroma=ycc[:, 1:] - 128.0)
+        edge = cls.floor if set(DOTS) & set(paints) else cls.edge
+        return cls(names=tuple(paints), chroma=ycc[:, 1:] - 128.0, edge=edge)
 
     @property
     def dots(self) -> str:
@@ -99,7 +101,7 @@ class ColourModel:
         picked = along[np.arange(len(best)), best]
         ok = (picked >= HUE_COSINE_MIN * size) & (picked >= self.floor * full[best])
         table = np.where(ok, best + 1, 0).astype(np.uint8)
-        bare = np.zeros(len(full)) if self.wall is None else self.wall
+        bare = np.zeros(len(full)) if self.bare is None else self.bare
         weight = self.counts((along / full - bare) / (1.0 - bare))
         # Red is an area to compare with a threshold, whatever the exposure.
         red = np.array([name == "red" for name in self.names])
