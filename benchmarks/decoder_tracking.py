@@ -216,7 +216,7 @@ class Grip:
         design = before_camera(load_design(DESIGN), SMALL)
         width, height = map(int, self.size.split("x"))
         scale = width / design.camera.width_px
-        camera = {"width_px": width, "height_px": height}
+        camera: dict[str, float] = {"width_px": width, "height_px": height}
         camera["focal_px"] = scale * design.camera.focal_px
         camera["pixel_um"] = design.camera.pixel_um / scale
         sensor = CameraSensor.of(copy_of(design, camera=camera))

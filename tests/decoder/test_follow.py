@@ -196,16 +196,30 @@ def test_markers_on_their_neighbours_dots_are_put_right_within_ten_frames() -> N
     assert np.abs(seen.position_px - REST).max() < 0.5
 
 
+def swap(follower: Follower, one: int, other: int) -> None:
+    """Let two markers be followed on each other's dots."""
+    camera = follower._cameras[0]
+    pair = [list(camera.ids).index(marker) for marker in (one, other)]
+    place = camera.place_px.copy()
+    place[pair] = place[pair[::-1]]
+    camera.place_px = place
+
+
+def test_the_whole_frame_is_searched_at_most_every_fifth_frame() -> None:
+    follower, searched = Follower(make_bundle(), draw(REST)), []
+    for k in range(11):
+        swap(follower, 60, 61)
+        seen = follower.follow(draw(REST, seed=k))
+        searched += [k] if seen.flags else []
+    assert searched == [0, 5, 10]
+
+
 def test_a_marker_on_anothers_dot_is_not_reported() -> None:
     """Until the next search may take place, which then puts it right."""
     follower = Follower(make_bundle(), draw(REST))
-    camera = follower._cameras[0]
-    camera._search_from = 3
-    swapped = [list(camera.ids).index(60), list(camera.ids).index(61)]
+    follower._cameras[0]._search_from = 3
     assert COLOUR[60] == COLOUR[61]
-    place = camera.place_px.copy()
-    place[swapped] = place[swapped[::-1]]
-    camera.place_px = place
+    swap(follower, 60, 61)
     for k in (1, 2):
         seen = follower.follow(draw(REST, seed=k))
         assert np.flatnonzero(~seen.found).tolist() == [60, 61]

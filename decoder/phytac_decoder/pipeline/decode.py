@@ -12,7 +12,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_words
 from phytac_decoder.pipeline.fault_detection import FaultDetector
 from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers
-from phytac_decoder.vision.segmentation import check_image, segment
+from phytac_decoder.vision.segmentation import Blobs, check_image, segment
 from phytac_decoder.vision.switch_detection import read_switches
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
@@ -209,20 +209,21 @@ def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
         np.stack(part)[bundle.spot_read_by, np.arange(len(bundle.spot_colour))]
         for part in zip(*((found.position_px, found.merged) for found, _ in each), strict=True)
     )
-    switch_on = np.stack([on for _, on in each])[bundle.read_by, np.arange(len(bundle.colour))]
+    on = [_switches_in(bundle, number, *seen) for number, seen in enumerate(each)]
+    switch_on = np.stack(on)[bundle.read_by, np.arange(len(bundle.colour))]
     found = np.isfinite(position[:, 0])
     return Matched(position_px=position, found=found, merged=merged), switch_on
 
 
 def locate_in(
     bundle: Bundle, number: int, image_bgr: ImageArray, expected_px: FloatArray | None = None
-) -> tuple[Matched, BoolArray]:
-    """Positions (n + r, 2) px of markers and marks that one camera shows, and switches (n,).
+) -> tuple[Matched, Blobs]:
+    """Positions (n + r, 2) px of markers and marks that one camera shows, and all blobs.
 
     Those that another camera reads are included, so that their paint is not assigned to a marker
     beside them. ``expected_px`` (n + r, 2) is where they are looked for, if not at rest.
     """
-    camera, shown = bundle.cameras[number], bundle.shown_by(number)
+    camera = bundle.cameras[number]
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
     blobs = segment(image_bgr, bundle.colours)
     blobs_max = 8.0  # per marker, of a frame of the sensor
@@ -240,8 +241,7 @@ def locate_in(
         neighbours=bundle.spot_neighbours,
         expected_px=expected_px,
     )
-    count = len(bundle.colour)
-    found = matched.found[:count][bundle.read_by == number]
+    found = matched.found[: len(bundle.colour)][bundle.read_by == number]
     if len(found) and found.mean() < FOUND_MIN:
         order = ", in the right order" if len(bundle.cameras) > 1 else ""
         raise InputError(
@@ -249,14 +249,19 @@ def locate_in(
             f"found {int(found.sum())} of {len(found)} markers{bundle.of_camera(number)}; is this "
             f"a frame of the sensor {bundle.design!r}, lit and in focus{order}?",
         )
-    own = np.where(matched.merged[:, None], np.nan, matched.position_px)[:count]
-    switch_on = read_switches(
+    return matched, blobs
+
+
+def _switches_in(bundle: Bundle, number: int, matched: Matched, blobs: Blobs) -> BoolArray:
+    """Switches (n,) by one camera's blobs."""
+    shown = bundle.shown_by(number)
+    own = np.where(matched.merged[:, None], np.nan, matched.position_px)[: len(bundle.colour)]
+    return read_switches(
         blobs,
         shown.tips,
         red_index=bundle.colours.names.index("red"),
         shift_px=fill_from_neighbours(own - shown.rest_px, bundle.model.neighbours),
     )
-    return matched, switch_on
 
 
 def rest_positions(bundle: Bundle, rest_bgr: Frames | None) -> FloatArray:
