@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from phytac_decoder.io.bundle import Bundle, CameraView
-from phytac_decoder.pipeline.decode import Frames, locate_in, one_frame_per_camera
+from phytac_decoder.pipeline.decode import Frames, locate_in, prepared_frames
 from phytac_decoder.pipeline.light_response import with_light_response
 from phytac_decoder.pipeline.shell_turn import oriented
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
@@ -97,7 +97,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     InputError
         If paints cannot be distinguished in the frame, or it is none of this sensor.
     """
-    frames = one_frame_per_camera(bundle, rest_frames)
+    frames = prepared_frames(bundle, rest_frames)
     lit = oriented(replace(bundle, colours=calibrated_colours(bundle, frames)), frames)
     shown, count, marks_px = [], len(bundle.colour), lit.marks.rest_px
     for number, frame in enumerate(frames):
@@ -122,7 +122,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         rest_px=read([item.rest_px for item in shown]),
         tips=replace(bundle.tips, on_px=read([item.tips.on_px for item in shown])),
     )
-    return with_light_response(calibrated, frames)
+    return with_light_response(calibrated, rest_frames)
 
 
 def calibrated_colours(bundle: Bundle, frames: Sequence[ImageArray]) -> ColourModel:

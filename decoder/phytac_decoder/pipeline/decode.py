@@ -170,7 +170,7 @@ class FrameMeasurement:
 
 
 def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:
-    """One frame for each of the bundle's cameras, prepared for :func:`segment`.
+    """One frame for each of the bundle's cameras.
 
     Raises
     ------
@@ -189,7 +189,18 @@ def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ..
         raise InputError(
             "camera-count", f"the sensor {bundle.design!r} has {each} (got {number}); {fix}"
         )
-    return tuple(bundle.colours.prepared(frame) for frame in given)
+    return given
+
+
+def prepared_frames(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:
+    """One frame for each of the bundle's cameras, as :func:`locate_in` reads it.
+
+    Raises
+    ------
+    InputError
+        If there are more or fewer.
+    """
+    return tuple(bundle.colours.prepared(each) for each in one_frame_per_camera(bundle, frames))
 
 
 def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
@@ -203,7 +214,7 @@ def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
         If there is not one image for each camera, or one has another size than its camera, or
         shows too few markers.
     """
-    images = one_frame_per_camera(bundle, frames)
+    images = prepared_frames(bundle, frames)
     each = [locate_in(bundle, number, image) for number, image in enumerate(images)]
     position, merged = (
         np.stack(part)[bundle.spot_read_by, np.arange(len(bundle.spot_colour))]
@@ -222,6 +233,7 @@ def locate_in(
 
     Those that another camera reads are included, so that their paint is not assigned to a marker
     beside them. ``expected_px`` (n + r, 2) is where they are looked for, if not at rest.
+    The image is one of :func:`prepared_frames`.
     """
     camera = bundle.cameras[number]
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)

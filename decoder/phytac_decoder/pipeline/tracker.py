@@ -20,7 +20,7 @@ from phytac_decoder.pipeline.decode import (
     Frames,
     corrected_shift,
     locate_in,
-    one_frame_per_camera,
+    prepared_frames,
 )
 from phytac_decoder.vision.matching import nearest_same_colour_px, neighbour_median
 from phytac_decoder.vision.segmentation import Blobs, check_image, segment
@@ -153,7 +153,7 @@ class Follower:
         self._bundle = bundle
         self._cameras = [
             CameraFollower(bundle, number, frame, stride)
-            for number, frame in enumerate(one_frame_per_camera(bundle, rest))
+            for number, frame in enumerate(prepared_frames(bundle, rest))
         ]
         measured = self._read([each.rest_px for each in self._cameras])
         self.rest_px = np.where(np.isfinite(measured), measured, bundle.spot_rest_px)
@@ -180,7 +180,7 @@ class Follower:
             them have jumped: it is black, torn or of something else. The state of the markers does
             not change; give the next frame. After three in a row the whole frame is searched.
         """
-        bundle, given = self._bundle, one_frame_per_camera(self._bundle, frames)
+        bundle, given = self._bundle, prepared_frames(self._bundle, frames)
         seen = [
             camera.follow(frame, elapsed)
             for camera, frame in zip(self._cameras, given, strict=True)

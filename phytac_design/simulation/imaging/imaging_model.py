@@ -14,7 +14,7 @@ from phytac_decoder.pipeline.decode import (
     confirmed_switches,
     locate_in,
     locate_markers,
-    one_frame_per_camera,
+    prepared_frames,
 )
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
@@ -382,7 +382,7 @@ class ImagingModel:
         What is not found there is expected where the design has it.
         """
         shown = []
-        for number, frame in enumerate(one_frame_per_camera(self.nominal, frames)):
+        for number, frame in enumerate(prepared_frames(self.nominal, frames)):
             old = self.nominal.shown_by(number)
             matched, _ = locate_in(self.nominal, number, frame)
             move = np.where(matched.found[:, None], matched.position_px - old.rest_px, 0.0)
