@@ -294,6 +294,7 @@ def test_a_build_past_a_gate_is_told_from_its_results(
     lost = np.zeros(context.markers.count, dtype=bool)
     views = {"occluded": lost, "fused": lost.copy(), "hidden_by": lost.astype(int)}
     views["fused"][:fused] = True
+    views |= {"mark_clear": np.ones(0, dtype=bool), "mark_visible_px": np.zeros(0, dtype=int)}
     write_arrays(tmp_path / "views", views)
     facts = {"first_force_N": first_N, "first_place": "on marker (row 1, column 2)"}
     write_facts(tmp_path / "underload", facts)
