@@ -106,8 +106,11 @@ class ColourModel:
         # Red is an area to compare with a threshold, whatever the exposure.
         red = np.array([name == "red" for name in self.names])
         weight = np.where(red, np.minimum(weight, 1.0), weight)
-        other = (table[:, None] > 0) & (table[:, None] != 1 + np.arange(len(full)))
-        return table, np.where(other, 0.0, weight)
+        number = 1 + np.arange(len(full))
+        other = (table[:, None] > 0) & (table[:, None] != number)
+        # No blob is without weight.
+        least = np.where(table[:, None] == number, 1e-6, 0.0)
+        return table, np.where(other, 0.0, np.maximum(weight, least))
 
     @cached_property
     def coverage_tables(self) -> NDArray[np.float32]:
