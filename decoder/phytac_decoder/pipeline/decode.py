@@ -115,13 +115,13 @@ class FrameMeasurement:
         return out
 
     def moved_cameras(self, bundle: Bundle, found: ContactDetection | None) -> list[str]:
-        """Return the cameras that have moved farther than their mount allows, one sentence each."""
+        """Return which cameras have moved, or light has changed, too much: one sentence each."""
         camera, motion = bundle.model.camera_motion, self._motion(bundle, found)
         if camera is None or not len(motion):
             return []
         return [
-            f"{text} since the rest frame, more than its mount allows; take a new rest frame, and "
-            "fasten the camera (--mount handheld allows for more)"
+            f"{text} since the rest frame, more than is corrected; take a new rest frame, fasten "
+            "the camera and lock its settings (--mount handheld allows for more motion)"
             for text in camera.excess(motion, self.marked)
         ]
 
