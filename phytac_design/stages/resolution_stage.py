@@ -59,8 +59,10 @@ def camera_motions(context: Context, views: Mapping[str, Any]) -> dict[str, Came
     }
     marks = context.sensor.reference_marks
     if marks.count:
-        seen = tabulate_camera_motion(cameras, views["mark_camera"], marks.point_mm, MARKED)
-        seen = seen.masked(np.repeat(views["mark_clear"], 2))
+        # Each rim is before a camera of its own, or the only camera sees it.
+        ends = context.design.camera.end_numbers
+        reader = np.array([ends.index(end) if end in ends else 0 for end in marks.end.tolist()])
+        seen = tabulate_camera_motion(cameras, reader, marks.point_mm, MARKED)
         noise = context.design.camera.noise_centroid_px
         information = seen.first @ seen.first.T / noise**2 + seen.prior
         out["marks"] = replace(table, precision=information)
@@ -153,7 +155,7 @@ RESOLUTION = Stage(
     design_fields=("mechanics", "camera.noise_centroid_px", "touch"),
     settings=("refine", "receptors"),
     depends_on=("views",),
-    arrays={"views": ("paint_slopes", "seen_by", "camera", "mark_camera", "mark_clear")},
+    arrays={"views": ("paint_slopes", "seen_by", "camera")},
     scene=("regions", "reach_mm"),
     run=run_resolution,
 )

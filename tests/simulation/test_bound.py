@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera_motion import CameraMotion
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.engine.stage import Context
 from phytac_design.simulation.cramer_rao import (
     CramerRaoBound,
     PositionPrior,
     cell_prior,
     contact_signals,
 )
+from phytac_design.stages.resolution_stage import camera_motions
 from phytac_shapes import Cylinder, Hemisphere, Plane, Surface
 from phytac_shapes.arrays import FloatArray
+from tests.designs import small
 from tests.refusals import refused
 
 PAD = Plane(width_mm=60.0, height_mm=60.0)
@@ -170,3 +174,25 @@ def test_motion_of_the_camera_costs_as_eliminating_its_unknowns_does() -> None:
         force, noise_px=noise, prior=prior, motion=replace(motion, precision=1e12 * np.eye(q))
     )
     assert np.allclose(sure.force_N, still.force_N, rtol=1e-4)
+
+
+def test_marks_tell_more_of_the_camera_than_any_mount() -> None:
+    context = Context(
+        design=small(reference_marks={"count": 12}), accuracy=PRESETS["draft"], seed=0
+    )
+    seen_by = np.ones((1, context.markers.count), dtype=np.bool_)
+    seen_by[0, 5] = False
+    found = camera_motions(context, {"seen_by": seen_by})
+    assert set(found) == {"rigid", "bench", "handheld", "marks"}
+    assert not found["bench"].first[:, 10:12].any()
+    assert found["bench"].first[:, :10].any(axis=1).all()
+    spread = {
+        name: np.sqrt(np.diagonal(np.linalg.inv(motion.prior))) for name, motion in found.items()
+    }
+    # Across and about the axis: one rim tells little of distance and focal length.
+    across = [0, 1, 3, 4, 5]
+    assert (spread["marks"][across] < 0.5 * spread["rigid"][across]).all()
+    assert (spread["rigid"] < spread["bench"]).all()
+    assert (spread["bench"] < spread["handheld"]).all()
+    plain = Context(design=small(), accuracy=PRESETS["draft"], seed=0)
+    assert "marks" not in camera_motions(plain, {"seen_by": seen_by})
