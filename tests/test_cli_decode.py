@@ -95,6 +95,24 @@ def test_a_folder_gives_one_row_per_frame(toy: Path) -> None:
     assert re.search(r"^4 frames in \d+\.\d s, 0 unread, 0 skipped, 0 missed, \d with", besides)
 
 
+def test_a_shell_that_looks_the_same_when_turned_is_reported_once(
+    toy: Path, tmp_path: Path
+) -> None:
+    plain = toy_bundle()
+    row, column = np.divmod(np.arange(30), 6)
+    # Half a turn maps the columns of each colour onto one another.
+    place = np.array([[-20, 0], [-30, 0], [0, 0], [0, 5], [20, 0], [30, 0]])[column]
+    position = np.column_stack([place[:, 0], 10.0 * (row - 2), place[:, 1]]).astype(float)
+    even = replace(plain, position_mm=position, head_mm=0.5 * position)
+    assert (plain.symmetry_order, even.symmetry_order) == (1, 2)
+    save_bundle(even, tmp_path)
+    assert json.loads((tmp_path / "bundle.json").read_text())["symmetry_order"] == 2
+    _, besides = run(tmp_path, toy / "frames", "--fps", "10")
+    assert besides.count("orientation-ambiguous") == 1
+    assert "180 degrees" in besides
+    assert "orientation-ambiguous" not in run(toy / "decoder", toy / "frames", "--fps", "10")[1]
+
+
 def test_json_lines_are_the_streams_messages(toy: Path) -> None:
     reported, _ = run(toy / "decoder", toy / "frames", "--fps", "10", "--json")
     messages = [json.loads(line) for line in reported.splitlines()]
