@@ -242,14 +242,14 @@ class CameraMotion:
             information = rows @ self.first.T
             # Slopes of first order converge fast enough: the second is a hundredth of it.
             step = np.linalg.solve(information + prior, rows @ residual - prior @ b)
-            b, old = b + step, share
+            b, old, foreseen = b + step, share, residual - step @ self.first
             residual = d - self.shift_px(b)
             off = np.hypot(residual[::2], residual[1::2])
             usual = max(float(np.sort(off[used])[np.count_nonzero(used) // 2]), noise_px)
             weighed = np.minimum(1.0, np.square(3.0 * usual / (off + 1e-12)))
             share = np.where(used, weighed, 0.0)
-            moved = float(np.abs(step @ self.first).max())
-            if moved < 0.1 * noise_px and np.abs(share - old).max() < 0.01:
+            bent = float(np.abs(residual - foreseen).max())
+            if bent < 0.1 * noise_px and np.abs(share - old).max() < 0.01:
                 break
         freedom = max(2 * int(np.count_nonzero(used)) - MOTION_UNKNOWNS, 1)
         return b, information, float(residual @ (weight * residual)) / freedom
