@@ -206,6 +206,14 @@ def test_a_turned_shell_is_recognised_and_keeps_its_numbers(step: int) -> None:
     assert float(np.nanmax(np.abs(np.delete(seen.shift_px, ON, axis=0)))) < 0.2
 
 
+def test_a_shell_that_is_turned_again_has_the_sum_of_both_turns() -> None:
+    once = calibrate_rest(seeing(), [frame(turn=2 / 7)])
+    again = calibrate_rest(once, [frame(turn=1 / 7)])
+    assert again.turned_deg == pytest.approx(360.0 / 7)
+    assert measure_frame(again, frame(turn=1 / 7, on=ON)).koi.tolist() == [ON]
+    assert calibrate_rest(once, [frame(turn=2 / 7)]).turned_deg == once.turned_deg
+
+
 def test_without_marks_the_ambiguity_is_reported_and_a_turned_shell_is_not_seen() -> None:
     blind = replace(seeing(), marks=ReferenceMarks())
     assert any("orientation-ambiguous" in text for text in blind.limits())

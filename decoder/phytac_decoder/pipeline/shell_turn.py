@@ -109,7 +109,8 @@ def turned(bundle: Bundle, step: int) -> Bundle:
             for view in bundle.shown
         ),
         marks=replace(bundle.marks, rest_px=_marks_px(bundle, cameras)),
-        turned_deg=turn_deg,
+        # It may have been turned before.
+        turned_deg=180.0 - (180.0 - bundle.turned_deg - turn_deg) % 360.0,
     )
     model = _model(bundle.model, order)
     if locator:
