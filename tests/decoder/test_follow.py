@@ -282,6 +282,33 @@ def test_a_hidden_marker_is_lost_and_regained() -> None:
     assert furthest < 0.7 * float(np.linalg.norm(way, axis=2).max())
 
 
+def test_a_lost_marker_is_searched_for_in_the_whole_frame() -> None:
+    """Its window has come to lie between dots."""
+    follower = Follower(make_bundle(), draw(REST))
+    camera = follower._cameras[0]
+    place = camera.place_px.copy()
+    place[list(camera.ids).index(60)] += 0.5 * PITCH
+    camera.place_px = place
+    seen = [follower.follow(draw(REST, seed=k)) for k in range(10)]
+    assert not seen[0].found[60]
+    assert seen[-1].found.all()
+    assert np.abs(seen[-1].position_px - REST).max() < 0.5
+
+
+def test_a_marker_that_the_rest_frame_does_not_show_is_not_reported() -> None:
+    follower = Follower(make_bundle(), draw(REST, hidden=(60,)))
+    seen = follower.follow(draw(REST, seed=1))
+    assert np.flatnonzero(~seen.found).tolist() == [60]
+
+
+def test_a_marker_is_reported_only_beside_two_others() -> None:
+    near = neighbours()[60]
+    for hidden, lost in ((near[:6], []), (near[:7], [60])):
+        follower = Follower(make_bundle(), draw(REST))
+        seen = follower.follow(draw(REST, seed=1, hidden=tuple(hidden.tolist())))
+        assert set(np.flatnonzero(~seen.found)) == {*hidden.tolist(), *lost}
+
+
 def broken(kind: str, frame: ImageArray) -> ImageArray:
     if kind == "black":
         return np.zeros_like(frame)
