@@ -182,7 +182,8 @@ def test_no_marker_takes_anothers_place() -> None:
 
 def test_markers_on_their_neighbours_dots_are_put_right_within_ten_frames() -> None:
     """A dent of most of a pitch, at once: windows land on other markers of the same colour."""
-    follower, flags = Follower(make_bundle(), draw(REST)), []
+    follower = Follower(make_bundle(), draw(REST))
+    flags: list[str] = []
     place = dent(np.array([160.0, 120.0]), np.array([0.0, 0.95 * PITCH]))
     jumped = np.linalg.norm(place - REST, axis=1) > 0.5 * PITCH
     assert np.count_nonzero(jumped) == 9
@@ -201,7 +202,7 @@ def test_markers_on_their_neighbours_dots_are_put_right_within_ten_frames() -> N
 def swap(follower: Follower, one: int, other: int) -> None:
     """Let two markers be followed on each other's dots."""
     camera = follower._cameras[0]
-    pair = [list(camera.ids).index(marker) for marker in (one, other)]
+    pair = [camera.ids.tolist().index(marker) for marker in (one, other)]
     place = camera.place_px.copy()
     place[pair] = place[pair[::-1]]
     camera.place_px = place
@@ -287,7 +288,7 @@ def test_a_lost_marker_is_searched_for_in_the_whole_frame() -> None:
     follower = Follower(make_bundle(), draw(REST))
     camera = follower._cameras[0]
     place = camera.place_px.copy()
-    place[list(camera.ids).index(60)] += 0.5 * PITCH
+    place[camera.ids.tolist().index(60)] += 0.5 * PITCH
     camera.place_px = place
     seen = [follower.follow(draw(REST, seed=k)) for k in range(10)]
     assert not seen[0].found[60]
