@@ -24,7 +24,6 @@ from phytac_design.simulation.imaging.imaging_model import (
     pixel_phase_error,
 )
 from phytac_design.simulation.imaging.nominal_view import expected_views, paint_slope
-from phytac_design.simulation.imaging.virtual_camera import WallMotion
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.linear_response import motion_responses, rigid_slope, superpose
 from phytac_design.simulation.pressed_series import ImageResponse as Watched
@@ -156,7 +155,7 @@ def test_a_tip_covers_other_paint_as_its_receptor_turns(rig: Rig) -> None:
 def test_pixels_agree_too(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     imaging = rig.make(rig.unit, centroids="pixels", at_rest=rig.imaging.rest)
     for camera in imaging.cameras:  # one receptor is moved so far that its wall would be in the way
-        monkeypatch.setattr(camera, "scene", partial(camera.scene, follow=False))
+        monkeypatch.setattr(camera, "scene", partial(camera.scene, wall_follows=False))
     motion, bits = rig.motion[0], rig.bits[0]
     paint, pixels = rig.imaging.exact(motion, bits), imaging.exact(motion, bits)
     assert rms(paint - pixels) < 0.02  # nothing hides anything here
@@ -258,7 +257,7 @@ def test_a_scattered_instance_is_read_against_its_own_rest_frame(rig: Rig) -> No
 def test_an_unreadable_instance_has_a_status(rig: Rig) -> None:
     blind = replace(rig.unit, cameras=(turned(rig.unit.cameras[0], 30.0, np.zeros(3)),))
     imaging = rig.make(blind)
-    assert "markers; is this a frame of the sensor" in imaging.status
+    assert "is this a frame of that sensor" in imaging.status
     frames = imaging.frame(rig.still, rig.off)
     for seen in (imaging.read(frames), imaging.points(rig.still, rig.off)):
         assert seen.status == imaging.status
@@ -308,7 +307,7 @@ def test_grid_error_belongs_to_a_place() -> None:
 
 def test_the_wall_goes_with_its_receptors(rig: Rig) -> None:
     eye, markers = rig.imaging.cameras[0], rig.unit.markers
-    wall = WallMotion(rig.design, rig.surface, markers, eye.rest)
+    wall = eye.wall
     np.testing.assert_array_equal(wall.moved(eye.rest, rig.still).vertices, eye.rest.vertices)
     motion = rig.still.copy()
     motion[:, :3], motion[:, 3:] = [0.1, 0.2, -0.1], [0.01, -0.02, 0.03]
