@@ -272,26 +272,6 @@ def locate_in(
     return matched, blobs
 
 
-def _check_place(bundle: Bundle, number: int, matched: Matched) -> None:
-    """Refuse a frame of a camera that does not look at the sensor as it was designed to.
-
-    Markers far from their places are still identified, by their lattice; but forces are read off
-    their motion as the design's camera sees it.
-    """
-    share_max = 0.05  # of the picture's diagonal: about three degrees of tilt, or six of roll
-    camera = bundle.cameras[number]
-    off = np.linalg.norm(matched.position_px - bundle.spots_shown_by(number), axis=1)
-    far = float(np.median(off[matched.found])) if matched.found.any() else 0.0
-    most = share_max * float(np.hypot(camera.width_px, camera.height_px))
-    if far > most:
-        raise InputError(
-            "markers-elsewhere",
-            f"the markers{bundle.of_camera(number)} are {far:.0f} px from where the camera of the "
-            f"design {bundle.design!r} shows them (at most {most:.0f}); is this a frame of that "
-            "sensor, and is its camera mounted as designed?",
-        )
-
-
 def _switches_in(bundle: Bundle, number: int, matched: Matched, blobs: Blobs) -> BoolArray:
     """Switches (n,) by one camera's blobs."""
     shown = bundle.shown_by(number)
