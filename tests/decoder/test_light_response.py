@@ -58,17 +58,28 @@ def test_gamma_and_blur_are_estimated(
 def test_every_paint_has_its_own_unknowns(bundle: Bundle) -> None:
     motion = bundle.model.camera_motion
     assert motion is not None
-    assert motion.light == 2 * len(np.unique(bundle.colour))
+    assert motion.light == 2 * len(np.unique(bundle.colour)) + 2
     assert motion.count == motion.motions + motion.light == 7 + motion.light
-    for row in motion.first[motion.motions :]:
+    for row in motion.first[motion.motions : -2]:
         moved = np.abs(row.reshape(-1, 2)).sum(axis=1) > 0.0
         assert len(np.unique(bundle.colour[moved])) == 1
+
+
+def test_a_rolling_shutter_is_estimated(bundle: Bundle) -> None:
+    frame = half_in_shade(draw(REST, seed=2))
+    y, x = np.mgrid[0 : frame.shape[0], 0 : frame.shape[1]].astype(np.float32)
+    x += np.float32(1.5) * (y / frame.shape[0] - np.float32(0.5))
+    measured, left, excess = free(bundle, cv2.remap(frame, x, y, cv2.INTER_CUBIC))
+    assert rms(measured) > 3.0 * rms(left)
+    assert not excess
 
 
 def test_a_change_beyond_correction_is_named(bundle: Bundle) -> None:
     b = np.zeros(bundle.model.camera_motion.count)  # type: ignore[union-attr]
     b[-1] = 10.0
-    assert bundle.model.camera_motion.excess(b) == ["light, exposure or focus have changed"]  # type: ignore[union-attr]
+    assert bundle.model.camera_motion.excess(b) == [
+        "light, exposure, focus or the delay between rows have changed"
+    ]  # type: ignore[union-attr]
 
 
 def test_calibrating_twice_is_calibrating_once(bundle: Bundle) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline.decode import noisy_rims
 from phytac_decoder.pipeline.plausibility import implausible
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest
@@ -58,6 +59,7 @@ def test_a_plain_contact_is_plausible() -> None:
         (detection(60.0), 50.0, "designed for 25 N"),
         # However wide the interval: nothing that a disturbed picture gives may reach a robot.
         (detection(300.0, sd_N=150.0), 280.0, "designed for 25 N"),
+        (detection(48.4, sd_N=8.1), 40.0, "designed for 25 N"),
         (detection(9.0, np.array([62.7, 29.6, 0.0])), 9.0, "beyond the end of the surface"),
         (detection(24.0), 3.0, "by the compliance"),
         (detection(3.0), 24.0, "by the compliance"),
@@ -72,7 +74,16 @@ def test_each_contradiction_is_named(found: ContactDetection, inverse_N: float, 
 
 def test_a_wide_interval_or_unknown_noise_is_no_contradiction() -> None:
     bundle = flat_bundle()
-    assert implausible(bundle, detection(60.0, sd_N=20.0), inverse(50.0)) == []
+    assert implausible(bundle, detection(50.0, sd_N=20.0), inverse(45.0)) == []
     assert implausible(bundle, detection(24.0, sd_N=5.0), inverse(3.0)) == []
     # Noise that was not fitted may be far too small.
     assert implausible(bundle, detection(9.0, chi2=30.0), inverse(9.0)) == []
+
+
+def test_noise_above_the_expected_one_is_named_where_forces_are_doubtful() -> None:
+    (words,) = noisy_rims(detection(9.0, sd_N=2.0, chi2=4.0))
+    assert "2.0 times their noise" in words
+    assert "1 forces" in words
+    assert noisy_rims(detection(9.0, sd_N=0.1, chi2=4.0)) == []
+    assert noisy_rims(detection(9.0, sd_N=2.0, chi2=1.5)) == []
+    assert noisy_rims(None) == []

@@ -168,7 +168,7 @@ class CameraMotion:
                 name = "camera" if cameras == 1 else ("near camera", "far camera")[number]
                 out.append(f"the {name} has {' and '.join(found)}")
         if far[self.motions :].any():
-            out.append("light, exposure or focus have changed")
+            out.append("light, exposure, focus or the delay between rows have changed")
         return out
 
     def free_of_motion(self, rows: FloatArray, noise_px: float) -> FloatArray:

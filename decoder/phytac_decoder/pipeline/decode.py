@@ -113,6 +113,7 @@ class FrameMeasurement:
                 f"{most} contacts are the most that are found without switches: there may be more, "
                 "and a force may be the sum of several"
             )
+        out += noisy_rims(found)
         if len(self.koi) > 0.3 * len(self.found):
             out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
         return out
@@ -170,6 +171,34 @@ class FrameMeasurement:
                 "forces near them are doubtful"
             )
         return out
+
+
+def noisy_rims(
+    found: ContactDetection | None, chi2_max: float = 2.0, spread_max: float = 0.05
+) -> list[str]:
+    """Warning of forces that noise above the expected one makes doubtful; none for others.
+
+    Beside a rim, force and place of a contact are nearly degenerate, so that systematic errors of
+    the picture (compression, say), which intervals cannot contain, are large there.
+
+    Parameters
+    ----------
+    chi2_max : float
+        Reduced χ² up to which markers are as noisy as expected.
+    spread_max : float
+        Relative standard deviation of a force that is well determined.
+    """
+    if found is None or found.reduced_chi2 <= chi2_max:
+        return []
+    weak = sum(one.sd_N > spread_max * one.force_N for one in found.contacts)
+    if not weak:
+        return []
+    words = (
+        f"markers are {np.sqrt(found.reduced_chi2):.1f} times their noise from where contacts put "
+        f"them: {weak} forces, beside a rim or weak, are doubtful; check focus, light and "
+        "compression"
+    )
+    return [words]
 
 
 def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:

@@ -4,7 +4,8 @@ The rest frame is disturbed and read again. The shifts by a small disturbance ar
 all markers' positions; with them the size of a change is one unknown per paint, which every fit
 estimates with the contacts (:mod:`phytac_decoder.camera.camera_motion`). A gamma curve stands for
 all changes of contrast, clipping included: they weight the bright and the dark side of a marker
-differently. Gain and white balance do not move centroids (``ColourModel.counts``).
+differently. Gain and white balance do not move centroids (``ColourModel.counts``). A rolling
+shutter adds two unknowns per camera: rows that are read later are moved sideways and along.
 """
 
 from dataclasses import dataclass, replace
@@ -28,6 +29,8 @@ class LightSettings:
     log_gamma_sd, blur_sd_px2 : float
         Standard deviations of these changes: three of them are an exponent of 0.4 to 2.5, and a
         blur of 2.4 px.
+    skew_sd_px : float
+        Standard deviation of the motion of the last row against the first, of a rolling shutter.
     shift_max_px : float
         A marker that moves farther was confused with another one: it shows nothing.
     """
@@ -36,6 +39,7 @@ class LightSettings:
     blur_px2: float = 1.0
     log_gamma_sd: float = 0.3
     blur_sd_px2: float = 2.0
+    skew_sd_px: float = 1.0
     shift_max_px: float = 1.0
 
 
@@ -83,6 +87,13 @@ def with_light_response(bundle: Bundle, rest_frames: Frames) -> Bundle:
                 own = sound & (bundle.read_by == camera) & (bundle.colour == paint)
                 rows.append(np.where(own[:, None], shift / size, 0.0).reshape(-1))
                 sds.append(sd)
+    still = still[: len(bundle.colour)]
+    for number, view in enumerate(bundle.cameras):
+        late = still[:, 1] / view.height_px - 0.5
+        late = np.where((bundle.read_by == number) & np.isfinite(late), late, 0.0)
+        for axis in range(2):
+            rows.append((late[:, None] * np.eye(2)[axis]).reshape(-1))
+            sds.append(SETTINGS.skew_sd_px)
     camera_motion = camera_motion.with_light(np.stack(rows), np.array(sds))
     model = bundle.model.with_camera_motion(camera_motion, bundle.noise_centroid_px)
     return replace(bundle, model=model)

@@ -18,8 +18,10 @@ class PlausibilitySettings:
     """Limits of results, in standard deviations where they have some."""
 
     sds: float = 3.0
-    """Standard deviations that are allowed on top of every limit, up to the largest force that the
+    """Standard deviations that are allowed on top of a limit, up to the largest force that the
     sensor is designed for: a disturbed picture widens them without end."""
+    force_sds: float = 1.0
+    """Standard deviations that are allowed on top of the largest force of a contact."""
     force_share: float = 1.5
     """Largest force of a contact, over that which the sensor is designed for."""
     rim_share: float = 0.8
@@ -53,10 +55,10 @@ def implausible(bundle: Bundle, found: ContactDetection, inverse_N: FloatArray) 
     if locator is None or not found.contacts:
         return out
     force = np.array([contact.force_N for contact in found.contacts])
-    spread = SETTINGS.sds * np.array([contact.sd_N for contact in found.contacts])
-    margin = np.minimum(spread, bundle.force_max_N)
+    sd = np.array([contact.sd_N for contact in found.contacts])
+    margin = np.minimum(SETTINGS.sds * sd, bundle.force_max_N)
     limit = SETTINGS.force_share * bundle.force_max_N
-    if (force - margin > limit).any():
+    if (force - np.minimum(SETTINGS.force_sds * sd, margin) > limit).any():
         out.append(
             f"a contact of {force.max():.0f} N, and the sensor is designed for "
             f"{bundle.force_max_N:g} N"
