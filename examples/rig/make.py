@@ -11,10 +11,10 @@ import numpy as np
 
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
-from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
-from phytac_design.optics.render_scene import build_scene
+from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.linear_response import motion_responses, superpose
@@ -46,7 +46,8 @@ def main(folder: Path) -> None:
         force_N=table[:, 4],
         samples=5,
     )
-    bits = switch_states(Sensor.of(design, surface, markers), contacts).bits
+    sensor = Sensor.of(design, surface, markers)
+    bits = switch_states(sensor, contacts).bits
     mesh, model = truth_shell(design, surface, 8)
     responses = motion_responses(
         model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
@@ -54,16 +55,11 @@ def main(folder: Path) -> None:
     motion = superpose(responses, contacts)
     (camera,) = cameras_of(design, surface)
     (folder / "frames").mkdir(exist_ok=True)
+    scenes = PressedScene(sensor, camera)
     for frame in range(6):
-        on = bits[frame - 1] if frame else None
-        scene = build_scene(
-            Sensor.of(design, surface, markers),
-            tolerance_mm=tolerance_mm(camera, markers),
-            switch_on=on,
-        )
-        if frame:
-            moved = motion[frame - 1]
-            scene = scene.moved(moved[:, :3], moved[:, 3:], markers.mid_mm)
+        still, off = np.zeros((markers.count, 6)), np.zeros(markers.count, dtype=np.bool_)
+        press = (motion[frame - 1], bits[frame - 1]) if frame else (still, off)
+        scene = scenes.scene(*press)
         rng = np.random.default_rng(frame)
         image = render_frame(scene, camera, noise_std=1.0, rng=rng)
         cv2.imwrite(str(folder / "frames" / f"frame_{frame:04d}.jpg"), image, JPEG)

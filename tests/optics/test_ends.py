@@ -171,8 +171,9 @@ def test_a_build_with_a_far_camera_decodes_its_own_frames(tmp_path: Path) -> Non
     truth = json.loads((views / "frame_pressed.json").read_text())
     assert set(measured.koi) == {int(key) for key in truth}
     forces = measured.forces_N(bundle, "koi_inverse")
-    # Few markers far apart decode coarsely, from either end.
-    assert forces.sum() == pytest.approx(sum(truth.values()), rel=0.5)
+    # Few markers far apart decode coarsely, from either end: the linear inverse presses whole cells
+    # of markers, which dent the wall less than a contact does.
+    assert forces.sum() == pytest.approx(sum(truth.values()), rel=0.6)
 
 
 def resolved(design: Design) -> tuple[dict[str, Any], set[str]]:
