@@ -106,14 +106,16 @@ class Table:
     def write(self, *, order: Sequence[str] = ()) -> Path:
         """Write the table as JSON beside the other results.
 
-        With the ``order`` of all parts, rows of parts that were not run now are kept.
+        With the ``order`` of all parts, rows of parts that were not run now are kept, with the
+        commit that made them.
         """
         RESULTS.mkdir(exist_ok=True)
         path = RESULTS / f"{self.name}.json"
         if order and path.is_file():
             run = {row["part"] for row in self.rows}
-            old = json.loads(path.read_text())["rows"]
-            self.rows += [row for row in old if row.get("part") in set(order) - run]
+            before = json.loads(path.read_text())
+            kept = [row for row in before["rows"] if row.get("part") in set(order) - run]
+            self.rows += [{"commit": before["commit"]} | row for row in kept]
             self.rows.sort(key=lambda row: order.index(row["part"]))
         commit = subprocess.run(
             ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False

@@ -103,8 +103,8 @@ def spots(photo: ImageArray, border_px: float = 3.0) -> tuple[FloatArray, BoolAr
 def fit_camera(photo: ImageArray, dots: FloatArray) -> tuple[Camera, IntArray, FloatArray]:
     """Camera, dots (k,) that were found, and the residuals (k, 2) px of their centroids.
 
-    The lens is unknown, so a row cannot be told from the next by where it is: a barrel that is
-    moved by one row looks nearly the same. So spots are counted along their meridian from the
+    The lens is unknown, so the place of a row does not distinguish it from the next: a barrel that
+    is moved by one row looks nearly the same. So spots are counted along their meridian from the
     outermost one inward, up to the first that is missing (a step of more than 1.6 of the one
     before). Then each dot takes the spot nearest to where the fitted camera expects it, if that is
     nearer than a third of the way to the next dot.

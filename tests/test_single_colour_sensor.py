@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,12 +28,12 @@ SHAPE = {"diameter_outer_mm": 50.0, "length_mm": 50.0}
 LAYOUT = {"kind": "straight", "rows": 6, "columns": 12, "height_far_mm": 5.0}
 
 
-def dots(paint: str = "white", **tables: object) -> Design:
+def dots(paint: str = "white", **tables: Any) -> Design:
     layout = LAYOUT | {"colours": [paint]}
     solid = {"diameter_outer_mm": 2.4, "diameter_hole_mm": 0.0}
     training = {"samples": 30, "samples_test": 10, "multi_contact": 0.0, "force_min_N": 4.0}
-    given = {"receptor": solid, "training": training} | tables
-    return of_shape("cylinder", SHAPE, layout, **given)  # type: ignore[arg-type]
+    given: dict[str, Any] = {"receptor": solid, "training": training} | tables
+    return of_shape("cylinder", SHAPE, layout, **given)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +70,8 @@ def test_contacts_are_found_without_switches(built: Path) -> None:
     reading = read(lit, measure_frame(lit, pressed), "auto")
     assert reading.valid, reading.warnings
     assert not reading.warnings
-    (contact,) = reading.found.contacts  # type: ignore[union-attr]
+    assert reading.found is not None
+    (contact,) = reading.found.contacts
     assert contact.force_N == pytest.approx(truth, rel=0.25)
     assert reading.forces_N.sum() == pytest.approx(contact.force_N)
 
@@ -122,9 +124,9 @@ def test_simulated_switches_are_not_read_where_there_are_none() -> None:
     def forces(_estimator: str, _shift: FloatArray, koi: IntArray) -> FloatArray:
         return np.full(3, float(len(koi)))
 
-    model = SimpleNamespace(without_switches=True, forces=forces)
+    model: Any = SimpleNamespace(without_switches=True, forces=forces)
     on = SimpleNamespace(bits=np.ones((2, 3), dtype=bool))
-    data = SimpleNamespace(shift_px=np.zeros((2, 3, 2)), switching=on)
-    assert not decode_points(model, data, "auto").any()  # type: ignore[arg-type]
+    data: Any = SimpleNamespace(shift_px=np.zeros((2, 3, 2)), switching=on)
+    assert not decode_points(model, data, "auto").any()
     model.without_switches = False
-    assert decode_points(model, data, "auto").all()  # type: ignore[arg-type]
+    assert decode_points(model, data, "auto").all()

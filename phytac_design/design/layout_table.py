@@ -69,8 +69,8 @@ class LayoutSection(Section):
     """Distance along the surface grows as (row number)^exponent; above 1 rows widen away."""
     colours: tuple[ColourName, ...] = Field(("blue", "green"), min_length=1, max_length=16)
     """Paints of the columns, repeated around; without columns, neighbours differ where they can.
-    `white` alone: dots on black resin, `black` alone: dots on light resin, both told from the wall
-    by brightness, without switches (`receptor.diameter_hole_mm = 0`)."""
+    `white` alone: dots on black resin, `black` alone: dots on light resin, both separated from the
+    wall by brightness, without switches (`receptor.diameter_hole_mm = 0`)."""
     colour_pattern: Literal["columns", "checkerboard"] = "columns"
     """`columns` paints a column in one colour; `checkerboard` moves on by one colour a row."""
     heights: Literal["linear", "constant", "power", "line-of-sight"] = "linear"
@@ -126,8 +126,8 @@ class LayoutSection(Section):
         dots = sorted({"white", "black"} & set(self.colours))
         if dots and set(self.colours) != {dots[0]}:
             raise ValueError(
-                f"{dots[0]} dots are told from the wall by brightness and cannot be mixed with "
-                f"other colours (got {', '.join(self.colours)}); use {dots[0]} alone"
+                f"{dots[0]} dots are separated from the wall by brightness and cannot be mixed "
+                f"with other colours (got {', '.join(self.colours)}); use {dots[0]} alone"
             )
         unknown = sorted(set(self.position_colours) - set(self.colours))
         if unknown:

@@ -304,7 +304,7 @@ class Design(Section):
 
     @property
     def dots(self) -> str:
-        """Colour of dots that are told from the wall by brightness; "" for coloured paint."""
+        """Colour of dots that are separated from the wall by brightness; "" for coloured paint."""
         return next((name for name in self.layout.colours if name in DOTS), "")
 
     @property

@@ -17,6 +17,7 @@ from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.mechanics.interaction_table import InteractionTable
 from phytac_decoder.mechanics.membrane_stretching import BergerWall
 from phytac_decoder.mechanics.response_table import ResponseTable
+from phytac_decoder.vision.segmentation import ColourModel
 from tests.decoder.toy_sensor import toy_bundle
 from tests.refusals import refused
 
@@ -110,6 +111,17 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         saved.with_mount().model.forces("auto", shift, koi), loaded.forces("auto", shift, koi)
     )
+
+
+def test_edges_of_markers_count_as_they_were_saved(tmp_path: Path) -> None:
+    bundle = toy_bundle()
+    save_bundle(replace(bundle, colours=replace(bundle.colours, edge=0.2)), tmp_path)
+    assert load_bundle(tmp_path).colours.edge == 0.2
+    path = tmp_path / "bundle.json"
+    meta = json.loads(path.read_text())
+    del meta["colours"]["edge"]
+    path.write_text(json.dumps(meta))
+    assert load_bundle(tmp_path).colours.edge == ColourModel.edge
 
 
 def test_corrections_reach_as_far_as_they_did_in_older_bundles(tmp_path: Path) -> None:

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline import light_response
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
+from phytac_decoder.pipeline.light_response import LightSettings
 from phytac_shapes.arrays import FloatArray, ImageArray
 from tests.decoder.test_calibrate_colours import plain_bundle, rms
 from tests.decoder.test_follow import REST, draw
@@ -75,11 +77,19 @@ def test_a_rolling_shutter_is_estimated(bundle: Bundle) -> None:
 
 
 def test_a_change_beyond_correction_is_named(bundle: Bundle) -> None:
-    b = np.zeros(bundle.model.camera_motion.count)  # type: ignore[union-attr]
+    motion = bundle.model.camera_motion
+    assert motion is not None
+    b = np.zeros(motion.count)
     b[-1] = 10.0
-    assert bundle.model.camera_motion.excess(b) == [
-        "light, exposure, focus or the delay between rows have changed"
-    ]  # type: ignore[union-attr]
+    assert motion.excess(b) == ["light, exposure, focus or the delay between rows have changed"]
+
+
+def test_a_blur_that_hides_the_markers_is_no_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(light_response, "SETTINGS", LightSettings(blur_px2=400.0))
+    lit = calibrate_rest(plain_bundle().with_mount("bench"), half_in_shade(draw(REST)))
+    motion = lit.model.camera_motion
+    assert motion is not None
+    assert motion.light == len(np.unique(lit.colour)) + 2
 
 
 def test_calibrating_twice_is_calibrating_once(bundle: Bundle) -> None:

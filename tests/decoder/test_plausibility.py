@@ -83,7 +83,7 @@ def test_a_wide_interval_or_unknown_noise_is_no_contradiction() -> None:
 def test_noise_above_the_expected_one_is_named_where_forces_are_doubtful() -> None:
     (words,) = noisy_rims(detection(9.0, sd_N=2.0, chi2=4.0))
     assert "2.0 times their noise" in words
-    assert "1 forces" in words
+    assert "above 5 %" in words
     assert noisy_rims(detection(9.0, sd_N=0.1, chi2=4.0)) == []
     assert noisy_rims(detection(9.0, sd_N=2.0, chi2=1.5)) == []
     assert noisy_rims(None) == []

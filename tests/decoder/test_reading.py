@@ -182,7 +182,7 @@ def test_a_camera_that_moved_too_far_is_not_read(
     bundle, measured = pressed
     far = replace(measured, shift_px=measured.shift_px + np.array([12.0, 5.0]))
     got = read(bundle, far, estimator)
-    assert (got.valid, got.code) == (False, "camera-moved")
+    assert (got.valid, got.code) == (False, "rest-frame-outdated")
 
 
 def test_forces_on_unreadable_switches_are_sent(

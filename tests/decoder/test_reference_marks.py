@@ -101,7 +101,7 @@ def test_a_motion_along_the_axis_far_beyond_the_mount_widens_its_prior() -> None
     assert table is not None
     found = table.estimate_by_marks(mark_shift(b), NOISE_PX)
     assert found is not None
-    # One rim tells distance from focal length ten times worse than a motion across.
+    # One rim separates distance from focal length ten times worse than a motion across.
     spread = np.sqrt(np.diagonal(np.linalg.inv(found.precision)))
     assert spread[2] > 10.0 * spread[0]
     assert found.mean[2] == pytest.approx(0.8, abs=0.03)
@@ -157,7 +157,7 @@ def test_a_moved_camera_is_refused_without_marks_and_corrected_with_them() -> No
     blind = replace(ready, marks=ReferenceMarks())
     alone = measure_frame(blind, frame(motion, on=ON))
     assert float(np.sqrt(np.nanmean(alone.shift_px**2))) > 2.0
-    assert read(blind, alone, "koi_inverse").code == "camera-moved"
+    assert read(blind, alone, "koi_inverse").code == "rest-frame-outdated"
 
 
 def test_rest_positions_and_the_tracker_hold_the_marks_too() -> None:

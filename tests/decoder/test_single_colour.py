@@ -1,4 +1,4 @@
-"""Dots of one colour, told from the wall by brightness, and irregular layouts of them."""
+"""Dots of one colour, separated from the wall by brightness, and irregular layouts of them."""
 
 from dataclasses import replace
 

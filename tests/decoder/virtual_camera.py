@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -163,7 +164,7 @@ class VirtualCamera:
 
 def install(patch: pytest.MonkeyPatch, world: VirtualWorld, **settings: float) -> VirtualWorld:
     """Let OpenCV open this camera; it is lost and given up within a test's patience."""
-    quick = {
+    quick: dict[str, Any] = {
         "lost_s": 0.2,
         "retry_s": 0.05,
         "give_up_s": 0.6,
@@ -171,5 +172,5 @@ def install(patch: pytest.MonkeyPatch, world: VirtualWorld, **settings: float) -
         "warm_up_least_s": 0.0,
     }
     patch.setattr(camera_device.cv2, "VideoCapture", world.open)
-    patch.setattr(CameraSource, "settings", CaptureSettings(**(quick | settings)))  # type: ignore[arg-type]
+    patch.setattr(CameraSource, "settings", CaptureSettings(**(quick | settings)))
     return world

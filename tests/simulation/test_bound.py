@@ -189,7 +189,7 @@ def test_marks_tell_more_of_the_camera_than_any_mount() -> None:
     spread = {
         name: np.sqrt(np.diagonal(np.linalg.inv(motion.prior))) for name, motion in found.items()
     }
-    # Across and about the axis: one rim tells little of distance and focal length.
+    # Across and about the axis: one rim shows little of distance and focal length.
     across = [0, 1, 3, 4, 5]
     assert (spread["marks"][across] < 0.5 * spread["rigid"][across]).all()
     assert (spread["rigid"] < spread["bench"]).all()

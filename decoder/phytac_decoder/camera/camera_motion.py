@@ -77,8 +77,8 @@ something that is held, swung or dropped."""
 class CameraMotion:
     """Shifts of n markers by the motion of one or two cameras, 7 unknowns each, and by light.
 
-    All q unknowns are called b. The last ones, if any, are changes of light and focus since the
-    rest frame (:mod:`phytac_decoder.pipeline.light_response`).
+    All q unknowns are called b. The last ones, if any, are changes of light, focus and the delay
+    between rows since the rest frame (:mod:`phytac_decoder.pipeline.light_response`).
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class CameraMotion:
     precision : (q, q) float, optional
         Inverse covariance of the prior, where reference marks tell more than the mount.
     light : int
-        Number of unknowns that are of light.
+        Number of unknowns that are no motion: of light, focus and the delay between rows.
     """
 
     first: FloatArray
@@ -190,7 +190,7 @@ class CameraMotion:
         b = np.zeros(self.count)
         for _ in range(ROBUST_ITERATIONS):
             rows = self.first * weight
-            inner = rows @ self.first.T + np.diag((noise_px / self.sd) ** 2)
+            inner = rows @ self.first.T + noise_px**2 * self.prior
             b[:] = np.linalg.solve(inner, rows @ shift_px)
             off = np.hypot.reduce((shift_px - b @ self.first).reshape(-1, 2), axis=1)
             usual = max(float(np.median(off)), noise_px)

@@ -248,6 +248,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
             "names": list(bundle.colours.names),
             "chroma": bundle.colours.chroma.tolist(),
             "floor": bundle.colours.floor,
+            "edge": bundle.colours.edge,
         },
         "networks": {
             name: {
@@ -439,6 +440,8 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
             names=tuple(meta["colours"]["names"]),
             chroma=np.asarray(meta["colours"]["chroma"], dtype=np.float64),
             floor=float(meta["colours"]["floor"]),
+            # Up to schema 1.12 there was none.
+            edge=float(meta["colours"].get("edge", ColourModel.edge)),
         ),
         colour=arrays["colour"],
         position_mm=arrays["position_mm"],

@@ -22,7 +22,8 @@ FOUND_MIN, FOUND_WELL = 0.5, 0.95
 second, forces are returned with a warning."""
 
 FOUND_WITHIN = 0.05
-"""A marker farther from its place at rest than this share of the picture of all counts as none."""
+"""Markers farther from their places at rest than this share of the extent of all markers do not
+count as found when a frame is accepted or rejected."""
 
 Frames = ImageArray | Sequence[ImageArray]
 """A frame of each camera, in the bundle's order; one camera's may stand alone."""
@@ -190,13 +191,12 @@ def noisy_rims(
     """
     if found is None or found.reduced_chi2 <= chi2_max:
         return []
-    weak = sum(one.sd_N > spread_max * one.force_N for one in found.contacts)
-    if not weak:
+    if all(one.sd_N <= spread_max * one.force_N for one in found.contacts):
         return []
     words = (
         f"markers are {np.sqrt(found.reduced_chi2):.1f} times their noise from where contacts put "
-        f"them: {weak} forces, beside a rim or weak, are doubtful; check focus, light and "
-        "compression"
+        f"them: forces with a standard deviation above {100.0 * spread_max:g} % are doubtful; "
+        "check focus, light and compression"
     )
     return [words]
 

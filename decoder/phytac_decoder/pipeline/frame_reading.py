@@ -94,7 +94,7 @@ def read(
         found = bundle.model.contacts(measured.shift_px, koi, before=last, marked=measured.marked)
         moved = measured.moved_cameras(bundle, found)
         if moved:
-            return Reading.none("; ".join(moved), "camera-moved")
+            return Reading.none("; ".join(moved), "rest-frame-outdated")
         forces = found.receptor_forces_N(len(measured.shift_px))
         koi = np.union1d(koi, np.flatnonzero(forces))
         inverse_N = bundle.model.forces("koi_inverse", measured.shift_px, koi)
@@ -111,7 +111,7 @@ def read(
         )
     moved = measured.moved_cameras(bundle, None)
     if moved:
-        return Reading.none("; ".join(moved), "camera-moved")
+        return Reading.none("; ".join(moved), "rest-frame-outdated")
     forces = measured.forces_N(bundle, estimator)
     warnings = measured.warnings(bundle, forces, estimator=estimator)
     return Reading(koi=koi, forces_N=forces, warnings=warnings)

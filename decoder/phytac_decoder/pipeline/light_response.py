@@ -16,6 +16,7 @@ import numpy as np
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.decode import Frames, locate_markers, one_frame_per_camera
 from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +79,11 @@ def with_light_response(bundle: Bundle, rest_frames: Frames) -> Bundle:
     rows: list[FloatArray] = []
     sds: list[float] = []
     for disturb, size, sd in disturbances:
-        matched, _ = locate_markers(bundle, [disturb(frame) for frame in frames])
+        try:
+            matched, _ = locate_markers(bundle, [disturb(frame) for frame in frames])
+        except InputError:
+            # So small or weak markers are not found after such a change in use either.
+            continue
         # Reference marks follow the markers.
         shift = (matched.position_px - still)[: len(bundle.colour)]
         sound = ~matched.merged[: len(shift)] & (np.hypot(*shift.T) < SETTINGS.shift_max_px)

@@ -43,7 +43,7 @@ def check_steady(bundle: Bundle, first: Sequence[ImageArray], last: Sequence[Ima
     InputError
         If switches changed, all markers moved together, or some moved against the others.
     """
-    # Noise is told from motion by the scatter of all markers; weak ones scatter more than others.
+    # The scatter of all markers shows what is noise; weak markers scatter more than others.
     motion_max_px, scatters, few = 0.2, 8.0, 2
     before, after = (measure_frame(bundle, images) for images in (first, last))
     step = after.shift_px - before.shift_px

@@ -1,4 +1,4 @@
-"""Dots of one colour, told from the wall by brightness: white on dark, or black on light.
+"""Dots of one colour, separated from the wall by brightness: white on dark, or black on light.
 
 Such a frame is turned into one whose dots are pure blue, in proportion to how far they stand out
 from the wall around them. Everything that reads paint by its chroma then works on it unchanged.

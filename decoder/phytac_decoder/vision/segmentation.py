@@ -64,8 +64,8 @@ class ColourModel:
     ) -> "ColourModel":
         """Model of paints given as 8-bit RGB; their order is the class order.
 
-        Of dots that are told by brightness (``DOTS``) it holds the contrast to the ``wall``; a
-        rest frame shows from which share on their edges count.
+        Of dots that differ from the wall by brightness (``DOTS``) it holds the contrast to the
+        ``wall``; a rest frame shows from which share on their edges count.
         """
         dots = [rgb for name, rgb in paints.items() if name in DOTS]
         dot = (0, 0, int(np.abs(np.subtract(dots, wall)).mean())) if dots else (0, 0, 0)
@@ -76,11 +76,11 @@ class ColourModel:
 
     @property
     def dots(self) -> str:
-        """Paint of dots that are told from the wall by brightness, see ``DOTS``; "" for colours."""
+        """Paint of dots that are separated by brightness, see ``DOTS``; "" for coloured paint."""
         return next((name for name in self.names if name in DOTS), "")
 
     def prepared(self, image_bgr: ImageArray) -> ImageArray:
-        """Frame as :func:`segment` reads it: dots told by brightness become coloured paint.
+        """Frame as :func:`segment` reads it: dots separated by brightness become coloured paint.
 
         Frames of coloured paints, and what is no 8-bit colour image, are returned as they are.
         """
