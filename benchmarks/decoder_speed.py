@@ -229,7 +229,7 @@ def add_accuracy(table: Table, label: str, sensor: CameraSensor, film: Film) -> 
                 continue
             full = measure_frame(bundle, frame, rest_px=bundle.rest_px)
             on = np.isin(np.arange(len(sure)), full.koi)
-            own = full.shift_px + np.where(on[:, None], bundle.tip_bias_px, 0.0)
+            own = full.shift_px + bundle.tip_shift_px(on)
             # Where the full search gives paint the wrong name there is nothing to compare with.
             named = np.linalg.norm(own - film.shift_px[k], axis=1) < SEPARABLE * apart
             pressed.append((seen.position_px - bundle.rest_px - own)[sure & named])

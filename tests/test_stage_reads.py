@@ -228,8 +228,8 @@ MECHANICS = {"response", "places", "twin", "resolution"}
 CHANGES: dict[str, tuple[dict[str, Any], set[str]]] = {
     "words": ({"description": "other words"}, set()),
     "a region's name": ({"regions": [{"name": "palm", "rows": [0, 1]}]}, set()),
-    # What mechanics asks of the pictures did not change.
-    "noise": ({"camera": {"noise_pixel": 1.1}}, {"views", "frames"}),
+    # What mechanics asks of the pictures did not change, but the noise that decoders expect.
+    "noise": ({"camera": {"noise_pixel": 1.1}}, {"views", "decoder", "frames"}),
     # A marker's image moves as its paint shows: a little otherwise in another colour.
     "colours": (
         {"layout": {"colours": ["green", "blue"]}},

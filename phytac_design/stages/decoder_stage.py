@@ -9,6 +9,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera_motion import MOUNTS, tabulate_camera_motion
 from phytac_decoder.estimation.cascade_network import Activation
+from phytac_decoder.estimation.contact_fit import PredictedNoise
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle import Bundle, CameraView, save_bundle, stamp_bundle
@@ -22,7 +23,7 @@ from phytac_design.layout.region_chart import design_regions
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.dataset import Dataset, decode_points, key_node_data
 from phytac_design.simulation.force_errors import contact_forces, score_contacts
-from phytac_design.simulation.imaging.nominal_view import bundle_marks, colour_model
+from phytac_design.simulation.imaging.nominal_view import bundle_covers, bundle_marks, colour_model
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.places_stage import locator_of
 from phytac_design.stages.response_stage import readers_of
@@ -51,9 +52,17 @@ def untrained_model(context: Context) -> ForceModel:
 
 
 def _locator(context: Context) -> ContactLocator:
-    """Return the estimator ``auto`` by design, with its unreadable switches."""
-    played = played_in(context)
-    return replace(locator_of(context), blind=_tips(context, "tip_", played).blind(played))
+    """Return the estimator ``auto`` by design, with its noise and its unreadable switches."""
+    played, views = played_in(context), context.arrays("views")
+    locator = locator_of(context)
+    predicted = PredictedNoise(
+        still_px=views["noise_still_px"].reshape(-1), moved_px=views["noise_moved_px"].reshape(-1)
+    )
+    return replace(
+        locator,
+        noise=replace(locator.noise, predicted=predicted),
+        blind=_tips(context, "tip_", played).blind(played),
+    )
 
 
 def _tips(context: Context, prefix: str, played: BoolArray, camera: int | None = None) -> TipModel:
@@ -99,6 +108,7 @@ def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) 
         head_mm=context.markers.tip_mm,
         rest_px=views["rest_px"],
         tip_bias_px=views["tip_bias_px"],
+        covers=bundle_covers(views),
         tips=_tips(context, "tip_", played),
         model=model,
         # No force explains a switch out of play, so it is reported as faulty in every frame: its

@@ -77,9 +77,17 @@ def locator_of(context: Context) -> ContactLocator:
         neighbours=markers.neighbours,
         footprint_mm=design.switch.footprint_diameter_mm / 2.0,
         threshold_N=thresholds_N(design, markers),
-        prior=ContactPrior(place_mm=prior.place_mm, moments_sd_mm2=(spread, spread / 2.0, spread)),
+        prior=ContactPrior(
+            place_mm=prior.place_mm,
+            moments_sd_mm2=(spread, spread / 2.0, spread),
+            force_N=training.force_max_N,
+        ),
         # Measured shifts are differences of two centroids.
-        noise=ShiftNoise(centroid_px=1.4 * design.camera.noise_centroid_px),
+        # A print's thickness differs by 3 % from place to place, its stiffness by 7 %. Tips leave
+        # 0.07 px in rendered frames of the design, and 0.13 px in those of a print.
+        noise=ShiftNoise(
+            centroid_px=1.4 * design.camera.noise_centroid_px, share=0.07, switched_px=0.2
+        ),
     )
 
 

@@ -23,7 +23,8 @@ from phytac_design.optics.visibility import (
     visibility_advice,
 )
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
-from phytac_design.simulation.imaging.nominal_view import look, paint_slope, view_arrays
+from phytac_design.simulation.imaging.nominal_view import Shot, look, paint_slope, view_arrays
+from phytac_design.simulation.imaging.predicted_noise import predict_noise
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError
@@ -41,6 +42,19 @@ def id_picture(part: Any) -> ImageArray:
     hue = (np.maximum(owner, 0).astype(np.int64) * 67) % 180
     hsv = np.stack([hue, np.full_like(hue, 200), np.where(owner >= 0, 255, 0)], axis=-1)
     return np.asarray(cv2.cvtColor(hsv.astype(np.uint8), cv2.COLOR_HSV2BGR))
+
+
+def _noise(sensor: Sensor, shot: Shot, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Noise (n, 2) px of shifts of markers in one camera, see :func:`predict_noise`."""
+    return predict_noise(
+        shot.rest,
+        shot.camera,
+        lambda frame: shot.positions(sensor, frame),
+        point_mm=np.where(shot.seen.lost[:, None], sensor.markers.tip_mm, shot.seen.paint_point_mm),
+        neighbours=sensor.markers.neighbours,
+        noise_std=sensor.design.camera.noise_pixel,
+        rng=rng,
+    )
 
 
 def run_views(context: Context, folder: Path) -> None:
@@ -72,6 +86,11 @@ def run_views(context: Context, folder: Path) -> None:
         "tip_red_rest_px": picked(arrays["shown_tip_red_rest_px"]),
         "tip_red_on_px": picked(arrays["shown_tip_red_on_px"]),
     }
+    noise_px = [_noise(sensor, shot, rng) for shot in shots]
+    arrays["noise_still_px"], arrays["noise_moved_px"] = (
+        np.where(np.isfinite(each), each, design.camera.noise_centroid_px)
+        for each in map(picked, zip(*noise_px, strict=True))
+    )
     write_arrays(folder, arrays)
     renderer = "none"
     if context.scene is None or context.scene.pictures:

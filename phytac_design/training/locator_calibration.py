@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
-from phytac_decoder.estimation.contact_fit import ContactPrior
+from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_design.datasets.samples import FAILED, Samples, TouchRows
@@ -174,6 +174,9 @@ def calibrate_locator(
     if len(chosen) > SETTINGS.scale_samples:
         few = np.random.default_rng(seed).permutation(chosen)[: SETTINGS.scale_samples]
     plain = replace(locator, correction=None, prior=_fit_prior(locator, samples, chosen))
+    if plain.noise.predicted:
+        # That of a design and of unknown prints; fitted is that of this print's own tables.
+        plain = replace(plain, noise=ShiftNoise(centroid_px=plain.noise.centroid_px))
     first = 1.0
     for _ in range(SETTINGS.first_iterations):
         matches = match_contacts(plain, samples, few[: SETTINGS.first_samples])

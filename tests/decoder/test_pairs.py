@@ -243,9 +243,10 @@ def test_a_contact_found_only_with_a_tentative_one_is_tentative_too(
     begun = replace(locator._fit([], seen), states=[state], cost=1000.0, reduced_chi2=2.0)
     monkeypatch.setattr(ContactLocator, "_unswitched_start", lambda *_: state.copy())
     for falls, wanted in (
-        ((50.0, 45.0, 5.0), [False, False, False]),
-        ((30.0, 50.0, 5.0), [False, True, True]),
-        ((50.0, 30.0, 60.0, 5.0), [False, False, True, True]),
+        # A fall of χ² counts in units of the reduced χ² that is left, which is 2 here.
+        ((100.0, 90.0, 10.0), [False, False, False]),
+        ((60.0, 100.0, 10.0), [False, True, True]),
+        ((100.0, 60.0, 120.0, 10.0), [False, False, True, True]),
     ):
         costs = iter(1000.0 - np.cumsum(falls))
 

@@ -58,12 +58,15 @@ class FitState:
         Fit, with tentative contacts.
     reduced_chi2 : float
         That of the last frame whose contacts were searched for.
+    noise_scale : float
+        Noise of that frame over the usual one.
     age : int
         Frames since that one.
     """
 
     fit: ContactFit
     reduced_chi2: float
+    noise_scale: float = 1.0
     age: int = 0
 
 
@@ -77,6 +80,9 @@ class ContactDetection:
         Those with switches first.
     reduced_chi2 : float
         Weighted sum of squared residuals per degree of freedom: 1 where noise is as expected.
+    noise_scale : float
+        Noise of this frame over the usual one, where that is predicted; the other figures are by
+        this noise.
     shift_px : (2n,) float
         Predicted shifts: of all contacts, tentative ones included, and by motion of the cameras.
     motion, motion_sd : (q,) float
@@ -92,6 +98,12 @@ class ContactDetection:
     motion: FloatArray = field(default_factory=lambda: np.zeros(0))
     motion_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
     state: FitState | None = None
+    noise_scale: float = 1.0
+
+    @property
+    def chi2_of_usual(self) -> float:
+        """Reduced χ² by the usual noise in place of this frame's."""
+        return self.reduced_chi2 * self.noise_scale**2
 
     def receptor_forces_N(self, count: int) -> FloatArray:
         """Return the force (n,) N on each marker: contacts' forces shared among their switches."""

@@ -7,6 +7,7 @@ under a distribution with power-law tails (Huber 1981, ch. 7): iteratively rewei
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -34,8 +35,13 @@ class FitSettings:
     place_distance_max: float = 0.85
     """Largest distance of a contact from a place, in spacings; half a diagonal is 0.71."""
     force_min_N: float = 0.02
-    force_sd_N: float = 1e3
-    """Prior standard deviation of a force: uninformative."""
+    alike: float = 1.25
+    """Factor on predicted noise: errors of neighbouring markers are alike, so that together they
+    are worth less. Forces at known places in rendered frames of ``handle`` and ``hemisphere``
+    scatter by 1.1 to 1.6 times what independent noise gives."""
+    grid_px: float = 0.1
+    """Shift of a marker at which half of the error by the grid of pixels has come: measured in
+    rendered frames of ``handle`` and ``hemisphere``, whose pixels differ fourfold."""
 
 
 SETTINGS = FitSettings()
@@ -53,11 +59,50 @@ class ContactPrior:
         Means of its second moments xx, xy, yy, less those of the tables' disc.
     moments_sd_mm2 : (3,) float
         Their standard deviations.
+    force_N : float
+        Standard deviation of its force about 0: no contact is far stronger than the sensor is
+        designed for, however weakly markers beside a rim respond.
     """
 
     place_mm: float
     moments_mm2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     moments_sd_mm2: tuple[float, float, float] = (3.0, 2.0, 3.0)
+    force_N: float = 1e3
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictedNoise:
+    """Noise of shifts by a design's own rendered frames, before any frame of a sensor is seen.
+
+    Where a marker's paint meets the grid of pixels moves its centroid. At rest that error is the
+    same in all frames, and cancels; it grows with the marker's shift.
+
+    Attributes
+    ----------
+    still_px, moved_px : (2n,) float
+        Standard deviation of each coordinate (x0, y0, x1, …) of a marker that does not move, and
+        what is added where it has moved far.
+    """
+
+    still_px: FloatArray
+    moved_px: FloatArray
+
+    @cached_property
+    def squares(self) -> tuple[FloatArray, FloatArray]:
+        """Variances (2n,) px² of both."""
+        return self.still_px**2, self.moved_px**2
+
+    def variance(self, shift_px: FloatArray) -> FloatArray:
+        """Return the variance (2n,) px² of shifts (2n,)."""
+        still, moved = self.squares
+        size = np.sqrt(shift_px[::2] ** 2 + shift_px[1::2] ** 2)
+        share = size / (size + SETTINGS.grid_px)
+        return np.asarray(still + (moved.reshape(-1, 2) * share[:, None]).reshape(-1))
+
+    def chi2_at(self, noise_px: float) -> float:
+        """Return the reduced χ² of frames with a larger noise, 1 or more; half of them moved."""
+        still, moved = self.squares
+        return max(float(np.mean(noise_px**2 / (still + 0.5 * moved))), 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,17 +119,53 @@ class ShiftNoise:
         Further standard deviation of receptors whose red tip is out: it covers paint.
     ratio : (2n,) float, optional
         Standard deviation of each coordinate (x0, y0, x1, …) over ``centroid_px``; default 1.
+    predicted : PredictedNoise, optional
+        In place of ``centroid_px``, which is then only the noise that a camera may have.
     """
 
     centroid_px: float
     share: float = 0.02
     switched_px: float = 0.5
     ratio: FloatArray | None = None
+    predicted: PredictedNoise | None = None
 
     @property
     def each_px(self) -> FloatArray | float:
         """Standard deviation of each coordinate, (2n,), or one for all."""
+        if self.predicted:
+            return self.predicted.still_px
         return self.centroid_px if self.ratio is None else self.centroid_px * self.ratio
+
+    @cached_property
+    def median_px(self) -> float:
+        """Median of these."""
+        return float(np.median(self.each_px))
+
+    @property
+    def known(self) -> bool:
+        """Whether χ² means anything: noise that is neither fitted nor predicted may be far off."""
+        return self.ratio is not None or self.predicted is not None
+
+    @property
+    def alike(self) -> float:
+        """Noise that a fit presumes over that of single markers."""
+        return SETTINGS.alike if self.predicted else 1.0
+
+    @property
+    def chi2_allowed(self) -> float:
+        """Reduced χ² of the largest noise that a camera may have."""
+        return self.predicted.chi2_at(self.centroid_px) if self.predicted else 1.0
+
+    def variance(
+        self, shift_px: FloatArray, pressed_px: FloatArray, scale: float = 1.0
+    ) -> FloatArray:
+        """Return the variance (2n,) px² of shifts (2n,), of which contacts make ``pressed_px``.
+
+        ``scale`` is the frame's noise over the usual one.
+        """
+        own = self.predicted.variance(shift_px) if self.predicted else self.each_px**2
+        factor = (scale * self.alike) ** 2
+        return np.asarray(factor * own + (self.share * pressed_px) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,12 +182,15 @@ class ShiftObservation:
         Markers whose switch is on.
     camera_motion : CameraMotion, optional
         Shifts by motion of the cameras, with its prior in this frame.
+    noise_scale : float
+        Noise of this frame over the usual one.
     """
 
     shift_px: FloatArray
     found: BoolArray
     koi: IntArray
     camera_motion: CameraMotion | None = None
+    noise_scale: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,11 +297,11 @@ def fit_contacts(
             total = pressed + camera_motion.shift_px(b)
             slopes.append(camera_motion.first)
         slope = np.concatenate(slopes) if slopes else np.zeros((0, len(total)))
-        variance = noise.each_px**2 + (noise.share * pressed) ** 2
+        variance = noise.variance(total, pressed, seen.noise_scale)
         variance[switched] += noise.switched_px**2
         inverse = np.where(seen.found, 1.0 / variance, 0.0)
         residual = seen.shift_px - total
-        off = np.concatenate([_prior_residual(places, states, prior), b])
+        off = np.concatenate([prior_residual(places, states, prior), b])
         square, settled = float(residual @ (inverse * residual)), False
         if robust or number >= unweighted or change < SETTINGS.step_tolerance:
             square, share = robust_cost(residual, inverse)
@@ -238,7 +322,7 @@ def fit_contacts(
         inverse=inverse,
         covariance=covariance[:split, :split],
         cost=square + float(off @ (weight @ off)),
-        reduced_chi2=square / max(int(seen.found.sum()) - split, 1),
+        reduced_chi2=noise.alike**2 * square / max(int(seen.found.sum()) - split, 1),
         motion=b,
         motion_sd=np.sqrt(covariance.diagonal()[split:]),
     )
@@ -248,7 +332,7 @@ def _prior_sd(states: Sequence[ContactState], prior: ContactPrior) -> FloatArray
     """Return the standard deviations (c, 6) of contacts' unknowns."""
     return np.array(
         [
-            [SETTINGS.force_sd_N, state.place_sd_mm, state.place_sd_mm, *prior.moments_sd_mm2]
+            [prior.force_N, state.place_sd_mm, state.place_sd_mm, *prior.moments_sd_mm2]
             for state in states
         ]
     )
@@ -273,7 +357,7 @@ def robust_cost(residual_px: FloatArray, inverse: FloatArray) -> tuple[float, Fl
     return total, np.repeat(1.0 / over, 2)
 
 
-def _prior_residual(
+def prior_residual(
     places: ResponseTable, states: Sequence[ContactState], prior: ContactPrior
 ) -> FloatArray:
     """Return the deviation of contacts from their priors, (6c,)."""
@@ -282,9 +366,9 @@ def _prior_residual(
     x = np.array([state.x for state in states])
     starts = np.array([state.start_mm for state in states])
     own = [state.place for state in states]
-    off = np.zeros_like(x)
+    off = x.copy()
     off[:, 1:3] = x[:, 1:3] - places.tangent_coordinates(own, starts)
-    off[:, 3:] = x[:, 3:] - np.array(prior.moments_mm2)
+    off[:, 3:] -= np.array(prior.moments_mm2)
     return off.reshape(-1)
 
 

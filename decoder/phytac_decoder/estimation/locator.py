@@ -26,6 +26,7 @@ from phytac_decoder.estimation.contact_fit import (
     contact_signal_px,
     fit_contacts,
     initial_state,
+    prior_residual,
 )
 from phytac_decoder.estimation.contact_grouping import assign_to_contacts, group_key_nodes
 from phytac_decoder.estimation.contact_shifts import UNKNOWNS, ContactState, centre_of
@@ -62,6 +63,8 @@ class LocatorSettings:
     """Relative standard deviation of the stiffness of prints of one design: 5 % of modulus, and
     3 % of mean and 3 % of local thickness to the power of 2.3. It limits decoders that were not
     calibrated on their print."""
+    noise_growth_min: float = 1.3
+    """Squared noise of a frame, over the predicted one, from which a frame is taken as noisier."""
     chi2_growth_max: float = 1.15
     """A warm start is kept until χ² has grown by this; of 700 shifts it varies by 5 %."""
     warm_start_iterations: int = 3
@@ -69,6 +72,8 @@ class LocatorSettings:
     """Warm-started frames between searches for unswitched contacts."""
     reinitialise_after_frames: tuple[int, int] = (480, 16)
     """Frames after which contacts are searched for again, without and with an unswitched one."""
+    rim_share: float = 0.2
+    """Distance of a contact from the last place, in spacings, from which it is beyond the rim."""
     moment_min: float = 0.2
     """Smallest second moment of a contact, over that of the tables' disc."""
 
@@ -162,13 +167,39 @@ class ContactLocator:
             koi=koi,
             camera_motion=camera_motion or self.camera_motion,
         )
-        state = self._warm_start(before.state, seen) if before and before.state else None
+        last = before.state if before else None
+        if last:
+            seen = replace(seen, noise_scale=last.noise_scale)
+        state = self._warm_start(last, seen) if last else None
         if state is None:
-            best = self._fit_switched(seen) if len(koi) else self._fit([], seen)
-            if len(koi) or len(self.blind):
-                best = self._add_unswitched(best, seen)
-            state = FitState(fit=best, reduced_chi2=best.reduced_chi2)
-        return replace(self._report(state.fit, koi), state=state)
+            state = self._search(seen)
+        return replace(self._report(state, koi), state=state, noise_scale=state.noise_scale)
+
+    def _search(self, seen: ShiftObservation) -> FitState:
+        """Search for the contacts of one frame alone."""
+        seen = replace(seen, noise_scale=1.0)
+        best = self._fit_switched(seen) if len(seen.koi) else self._fit([], seen)
+        scale = self._noise_scale(best, seen)
+        if scale > 1.0:
+            seen = replace(seen, noise_scale=scale)
+            best = self._fit_switched(seen) if len(seen.koi) else self._fit([], seen)
+        if len(seen.koi) or len(self.blind):
+            best = self._add_unswitched(best, seen)
+        return FitState(fit=best, reduced_chi2=best.reduced_chi2, noise_scale=scale)
+
+    def _noise_scale(self, best: ContactFit, seen: ShiftObservation) -> float:
+        """Return this frame's noise over the predicted one, where that is exceeded.
+
+        By the quieter markers: what is not explained, as by a contact that is missing, moves some.
+        """
+        if self.noise.predicted is None or not seen.found.any():
+            return 1.0
+        square = best.inverse * (seen.shift_px - best.predicted_px) ** 2
+        each = self.noise.alike**2 * square.reshape(-1, 2).sum(axis=1)[seen.found[::2]]
+        # The lower quartile of χ² with two degrees of freedom.
+        usual = 2.0 * np.log(4.0 / 3.0)
+        found = float(np.partition(each, len(each) // 4)[len(each) // 4]) / usual
+        return float(np.sqrt(found)) if found > SETTINGS.noise_growth_min else 1.0
 
     def _warm_start(self, state: FitState, seen: ShiftObservation) -> FitState | None:
         """Fit the contacts of the frame before; None where they must be searched for."""
@@ -181,7 +212,7 @@ class ContactLocator:
             return None
         best = self._fit(restarted, seen, before=state.fit)
         # With fitted noise a value below 1 is as good as 1.
-        good = 1.0 if self.noise.ratio is not None else 0.0
+        good = 1.0 if self.noise.known else 0.0
         if best.reduced_chi2 > SETTINGS.chi2_growth_max * max(state.reduced_chi2, good):
             return None
         sd = np.sqrt(np.diagonal(best.covariance)[::UNKNOWNS])
@@ -195,7 +226,7 @@ class ContactLocator:
             more = self._add_unswitched(best, seen)
             if len(more.states) > len(best.states):
                 return None
-        return FitState(fit=best, reduced_chi2=state.reduced_chi2, age=age)
+        return replace(state, fit=best, age=age)
 
     def _restarted(
         self, states: Sequence[ContactState], seen: ShiftObservation
@@ -216,20 +247,30 @@ class ContactLocator:
         force = self._switch_forces(seen)
         starts = [self._start(seen.koi, force, rows) for rows in self._split(seen.koi, force)]
         best = self._fit(starts, seen)
-        # Noise that was not fitted may be far too large: then χ² is no criterion.
-        if self.noise.ratio is not None and best.reduced_chi2 < SETTINGS.chi2_unexplained:
+        apart = self._out_of_reach(best, seen.koi)
+        # Noise that is not known may be far too large: then χ² is no criterion.
+        if self.noise.known and best.reduced_chi2 < SETTINGS.chi2_unexplained and not apart:
             return best
         parts = self._split(seen.koi, force, reach_mm=self._reach_mm)
         if len(parts) > len(starts):
             separate = [self._start(seen.koi, force, rows) for rows in parts]
             more = self._fit(separate, seen)
-            if best.cost - more.cost >= SETTINGS.chi2_drop * (len(separate) - len(starts)):
+            drop = 0.0 if apart else SETTINGS.chi2_drop * (len(separate) - len(starts))
+            if best.cost - more.cost >= drop * max(more.reduced_chi2, 1.0):
                 best, starts = more, separate
         for start in self._unreadable_starts(seen):
             more = self._fit([*starts, start], seen)
-            if best.cost - more.cost >= SETTINGS.chi2_drop and self._could_be_off(more, seen.koi):
+            drop = SETTINGS.chi2_drop * max(more.reduced_chi2, 1.0)
+            if best.cost - more.cost >= drop and self._could_be_off(more, seen.koi):
                 best, starts = more, [*starts, start]
         return best
+
+    def _out_of_reach(self, fit: ContactFit, koi: IntArray) -> bool:
+        """Return whether a switch that is on is out of reach of every contact."""
+        points = np.stack([centre_of(self.places, state) for state in fit.states])
+        gap = np.linalg.norm(points[:, None] - self.position_mm[koi][None], axis=2)
+        reach = np.maximum(self._radii(fit.states) + self.footprint_mm, self._reach_mm)
+        return bool((gap > reach[:, None]).all(axis=0).any())
 
     def _unreadable_starts(self, seen: ShiftObservation) -> list[ContactState]:
         """Return contacts on unreadable switches that the motion shows as pressed."""
@@ -255,7 +296,8 @@ class ContactLocator:
             if start is None:
                 break
             more = self._fit([*best.states, start], seen)
-            gain = best.cost - more.cost
+            # Residuals that neither fit explains, as by errors of the tables, say nothing.
+            gain = (best.cost - more.cost) / max(more.reduced_chi2, 1.0)
             if gain < drop or not self._could_be_off(more, koi):
                 break
             if not len(koi) and not len(self._unreadable_on(more.states[-1])):
@@ -296,8 +338,8 @@ class ContactLocator:
         rows = self._rows[seen.koi] * seen.found
         free = rows
         if seen.camera_motion:
-            noise = float(np.median(self.noise.each_px))
-            free = seen.camera_motion.masked(seen.found).free_of_motion(rows, noise)
+            motion = seen.camera_motion.masked(seen.found)
+            free = motion.free_of_motion(rows, self.noise.median_px)
         return nonnegative_least_squares(free @ rows.T, free @ seen.shift_px)
 
     def _split(
@@ -380,8 +422,9 @@ class ContactLocator:
         moment = np.array([disc + state.x[3] + state.x[5] for state in states])
         return np.asarray(np.sqrt(2.0 * np.maximum(moment, SETTINGS.moment_min * disc)))
 
-    def _report(self, best: ContactFit, koi: IntArray) -> ContactDetection:
+    def _report(self, found: FitState, koi: IntArray) -> ContactDetection:
         """Return accepted contacts, with corrected forces and their switches."""
+        best = found.fit
         accepted = [k for k, state in enumerate(best.states) if not state.tentative]
         out = ContactDetection(
             contacts=[],
@@ -393,9 +436,12 @@ class ContactLocator:
         if not accepted:
             return out
         states = [best.states[k] for k in accepted]
-        # Residuals beyond noise are errors of the model, of any kind: they widen all spreads.
-        wider = np.sqrt(max(best.reduced_chi2, 1.0))
+        # Residuals beyond noise are errors of the model, of any kind: they widen all spreads. Noise
+        # beyond the usual one is an error of the picture, often alike for many markers.
+        wider = found.noise_scale * np.sqrt(max(best.reduced_chi2, 1.0))
         sd = wider * np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)[accepted]
+        sd[:, 0] = np.hypot(sd[:, 0], self._force_by_place(best)[accepted])
+        sd[:, 0] *= _upper_side(sd[:, 0], np.array([best.states[k].x[0] for k in accepted]))
         points = np.stack([centre_of(self.places, state) for state in states])
         radius = self._radii(states)
         raw = np.array([state.x[0] for state in states])
@@ -434,9 +480,54 @@ class ContactLocator:
         out.contacts.sort(key=lambda contact: len(contact.markers) == 0)
         return out
 
+    def _force_by_place(self, best: ContactFit) -> FloatArray:
+        """Return by how much the force (c,) N of contacts would differ nearer to their switches.
+
+        Beside a rim many places fit nearly as well, each with another force, and the curvature at
+        the best one says little of the others. The farther a contact is from its switches, over
+        the standard deviation of its prior, the likelier errors of the picture moved it there; as
+        far as they could: not where the place is well determined, and wholly beyond the rim.
+        """
+        out = np.zeros(len(best.states))
+        moved = prior_residual(self.places, best.states, self.prior).reshape(-1, UNKNOWNS)[:, 1:3]
+        allowed = np.array([state.place_sd_mm for state in best.states])
+        inside = (allowed**2 / np.maximum(np.sum(moved**2, axis=1), 1e-18)).tolist()
+        for k, off in enumerate(moved):
+            if inside[k] >= 1.0:
+                continue
+            xy = slice(UNKNOWNS * k + 1, UNKNOWNS * k + 3)
+            place = best.covariance[xy, xy]
+            slope = np.linalg.solve(place, best.covariance[xy, UNKNOWNS * k])
+            # Standard deviation of the place that way, over the prior's.
+            free = min(float(np.sqrt(off @ place @ off * inside[k])) / allowed[k] ** 2, 1.0)
+            free = 1.0 if self._beyond_rim(best.states[k]) else free
+            out[k] = abs(float(slope @ off)) * free * (1.0 - inside[k])
+        return out
+
+    def _beyond_rim(self, state: ContactState) -> bool:
+        """Return whether a contact's centre is where the surface has ended."""
+        places, own = self.places, state.place
+        for axis, at in ((places.along, state.x[1]), (places.around, state.x[2])):
+            if abs(at) < SETTINGS.rim_share * places.spacing_mm:
+                continue
+            next_one = places.point_mm[own] + np.sign(at) * places.spacing_mm * axis[own]
+            if int(places.nearest(next_one[None])[0]) == own:
+                return True
+        return False
+
     def _covered(
         self, points_mm: FloatArray, radius_mm: FloatArray, markers: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return distances (c, m) mm of discs from switches, and shares of each disc on each."""
         gap = np.linalg.norm(points_mm[:, None] - self.position_mm[markers][None], axis=2)
         return gap, disc_overlap_share(gap, radius_mm[:, None], self.footprint_mm)
+
+
+def _upper_side(sd_N: FloatArray, force_N: FloatArray) -> FloatArray:
+    """Return the upper side of intervals (c,) over the lower: forces that are poorly determined.
+
+    Beside a rim the force that a motion needs grows by the same factor for each millimetre, so that
+    its logarithm is what a place determines.
+    """
+    share = np.clip(sd_N / force_N, 1e-9, 1.0)
+    return np.asarray(np.expm1(share) / share)

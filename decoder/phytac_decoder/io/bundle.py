@@ -31,6 +31,7 @@ from phytac_decoder.estimation.force_regions import Region, regions_from_table, 
 from phytac_decoder.io.bundle_camera import camera_from, camera_table
 from phytac_decoder.io.bundle_check import (
     ARRAYS,
+    COVERS,
     MARKS,
     SHOWN,
     bounded,
@@ -51,12 +52,12 @@ from phytac_decoder.io.sensor_limits import (
 )
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import ColourModel
-from phytac_decoder.vision.switch_detection import TipModel
+from phytac_decoder.vision.switch_detection import TipCovers, TipModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 13), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 14), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -119,6 +120,8 @@ class Bundle:
         Named parts of the surface, such as fingers.
     marks : ReferenceMarks
         Dots on the clamped rims; none in a sensor without.
+    covers : TipCovers
+        Tips that cover the paint of other markers.
     turned_deg : float
         Angle by which the shell sits turned about the axis against the design, where reference
         marks show it.
@@ -144,6 +147,7 @@ class Bundle:
     shown: tuple[CameraView, ...] = ()
     regions: tuple[Region, ...] = ()
     marks: ReferenceMarks = field(default_factory=ReferenceMarks)
+    covers: TipCovers = field(default_factory=TipCovers)
     turned_deg: float = 0.0
     notes: dict[str, Any] = field(default_factory=dict)
 
@@ -220,6 +224,10 @@ class Bundle:
         noise = self.noise_centroid_px * self.model.inverse_noise_N_px
         return np.asarray(noise <= NOISE_SHARE_MAX * self.force_max_N)
 
+    def tip_shift_px(self, switch_on: BoolArray) -> FloatArray:
+        """Return the shift (n, 2) px of markers because tips (n,) are out and cover paint."""
+        return np.where(switch_on[:, None], self.tip_bias_px, 0.0) + self.covers.shift(switch_on)
+
     def with_mount(self, mount: Mount = "bench") -> "Bundle":
         """Return the decoder for cameras that may move as far as a mount allows."""
         motion = tabulate_camera_motion(self.cameras, self.read_by, self.head_mm, MOUNTS[mount])
@@ -273,6 +281,8 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         meta["regions"] = regions_to_table(bundle.regions)
     if bundle.marks.count:
         arrays |= {name: getattr(bundle.marks, name[5:]) for name in MARKS}
+    if len(bundle.covers.marker):
+        arrays |= {name: getattr(bundle.covers, name[6:]) for name in COVERS}
     if bundle.shown:
         attributes = ("rest_px", *(f"tips.{attribute}" for attribute in TIPS.values()))
         for name, attribute in zip(SHOWN, attributes, strict=True):
@@ -459,6 +469,8 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         regions=regions_from_table(meta.get("regions", []), count),
         # Up to schema 1.12 there were none.
         marks=marks,
+        # Up to schema 1.13 there were none.
+        covers=TipCovers(**{name[6:]: arrays[name] for name in COVERS if name in arrays}),
         notes=dict(meta["notes"]),
     )
     check_scene(bundle)

@@ -45,6 +45,13 @@ MARKS: dict[str, tuple[int | str, ...]] = {
 }
 """Further arrays of a bundle of a sensor with r reference marks."""
 
+COVERS: dict[str, tuple[int | str, ...]] = {
+    "cover_marker": ("k",),
+    "cover_tip": ("k",),
+    "cover_shift_px": ("k", 2),
+}
+"""Further arrays of a bundle of a sensor where tips cover k other markers."""
+
 
 def check_bundle(
     arrays: Mapping[str, Any],
@@ -74,11 +81,14 @@ def check_bundle(
     shapes |= {f"network.{name}": (parameter_count(),) for name in sorted(networks)}
     shapes |= SHOWN if cameras == 2 else {}
     shapes |= MARKS if "mark_point_mm" in arrays else {}
+    shapes |= COVERS if "cover_marker" in arrays else {}
     ids = {"neighbours": (-1, n), "colour": (0, colours), "read_by": (0, cameras)}
     if "mark_point_mm" in arrays:
         r = len(np.atleast_1d(arrays["mark_point_mm"]))
         ids |= {"mark_neighbours": (-1, r), "mark_colour": ids["colour"]}
         ids |= {"mark_read_by": ids["read_by"]}
+    if "cover_marker" in arrays:
+        ids |= dict.fromkeys(("cover_marker", "cover_tip"), (0, n))
     check_arrays(
         arrays,
         shapes,

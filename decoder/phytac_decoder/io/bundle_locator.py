@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+from phytac_decoder.estimation.contact_fit import ContactPrior, PredictedNoise, ShiftNoise
 from phytac_decoder.estimation.force_correction import LEGACY_LENGTHS, ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_check import check_arrays, number, numbers
@@ -18,6 +18,7 @@ from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
 PREFIX, PAIR, WALL, RATIO = "places.", "pair_", "wall_", "noise_ratio"
+PREDICTED = "noise_predicted_"
 FRAME, PLACES_MIN = ("point_mm", "along", "around"), 4
 SHAPES: dict[str, tuple[int | str, ...]] = {
     **dict.fromkeys(FRAME, ("places", 3)),
@@ -29,11 +30,13 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     WALL + "slopes": ("places", "powers", "modes"),
     WALL + "most": (1,),
     RATIO: ("2n",),
+    PREDICTED + "still_px": ("2n",),
+    PREDICTED + "moved_px": ("2n",),
     "weight": ("contacts",),
     "centre": ("contacts", 5),
 }
-"""Shapes of all arrays for n markers; interactions, walls, the ratio of noise and the fitted
-correction (the last two) may be missing."""
+"""Shapes of all arrays for n markers; interactions, walls, the ratio of noise or its
+prediction, and the fitted correction (the last two) may be missing."""
 
 
 def locator_table(locator: ContactLocator) -> dict[str, Any]:
@@ -44,7 +47,7 @@ def locator_table(locator: ContactLocator) -> dict[str, Any]:
         **({"top_N": places.top_N} if np.isfinite(places.top_N) else {}),
         "footprint_mm": locator.footprint_mm,
         "prior": _plain(locator.prior),
-        "noise": _plain(locator.noise, "ratio"),
+        "noise": _plain(locator.noise, "ratio", "predicted"),
         **({"learnt": _plain(fitted, "centre", "weight")} if fitted else {}),
     }
 
@@ -60,6 +63,9 @@ def locator_arrays(locator: ContactLocator) -> dict[str, Any]:
     arrays = response_arrays(locator.places)
     if locator.noise.ratio is not None:
         arrays[RATIO] = locator.noise.ratio
+    if locator.noise.predicted is not None:
+        arrays[PREDICTED + "still_px"] = locator.noise.predicted.still_px
+        arrays[PREDICTED + "moved_px"] = locator.noise.predicted.moved_px
     if locator.correction is not None:
         arrays |= {"centre": locator.correction.centre, "weight": locator.correction.weight}
     return {PREFIX + name: value for name, value in arrays.items()}
@@ -173,6 +179,8 @@ def locator_from(
             place_mm=number(prior["place_mm"], positive=True),
             moments_mm2=tuple(numbers(prior["moments_mm2"], 3).tolist()),
             moments_sd_mm2=tuple(numbers(prior["moments_sd_mm2"], 3, positive=True).tolist()),
+            # Up to schema 1.13 any force was as likely.
+            force_N=number(prior.get("force_N", ContactPrior.force_N), positive=True),
         ),
         noise=ShiftNoise(
             centroid_px=number(noise["centroid_px"], positive=True),
@@ -180,14 +188,24 @@ def locator_from(
             switched_px=number(noise["switched_px"]),
             # Up to schema 1.5 all coordinates had the same noise.
             ratio=own.get(RATIO),
+            # Up to schema 1.13 there was no prediction.
+            predicted=_predicted(own),
         ),
         correction=correction,
     )
 
 
+def _predicted(own: Mapping[str, Any]) -> PredictedNoise | None:
+    if PREDICTED + "still_px" not in own:
+        return None
+    still_px, moved_px = (own[PREDICTED + name] for name in ("still_px", "moved_px"))
+    return PredictedNoise(still_px=still_px, moved_px=moved_px)
+
+
 def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) -> None:
     where = f"{folder}/bundle.safetensors"
-    absent = [part for part in (PAIR, WALL, RATIO) if not any(n.startswith(part) for n in own)]
+    parts = (PAIR, WALL, RATIO, PREDICTED)
+    absent = [part for part in parts if not any(n.startswith(part) for n in own)]
     absent += () if fitted else ("weight", "centre")
     shapes = {name: shape for name, shape in SHAPES.items() if not name.startswith(tuple(absent))}
     sizes = {"2n": columns}
@@ -207,7 +225,8 @@ def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) 
             f"{where}: {PREFIX}{WALL}slopes has {sizes['powers']} powers, and the tables have "
             f"{sizes['orders']} orders; the two files are of different builds",
         )
-    for name, high in ((WALL + "most", 1.0), (RATIO, np.inf)):
+    above = (RATIO, PREDICTED + "still_px", PREDICTED + "moved_px")
+    for name, high in ((WALL + "most", 1.0), *((name, np.inf) for name in above)):
         values = np.asarray(own.get(name, 0.5))
         wrong = values[~((values > 0.0) & (values < high))]
         if len(wrong):

@@ -114,7 +114,7 @@ class FrameMeasurement:
                 f"{most} contacts are the most that are found without switches: there may be more, "
                 "and a force may be the sum of several"
             )
-        out += noisy_rims(found)
+        out += noisy_rims(found, chi2_allowed=_chi2_allowed(bundle))
         if len(self.koi) > 0.3 * len(self.found):
             out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
         return out
@@ -174,8 +174,17 @@ class FrameMeasurement:
         return out
 
 
+def _chi2_allowed(bundle: Bundle) -> float:
+    locator = bundle.model.locator
+    return locator.noise.chi2_allowed if locator else 1.0
+
+
 def noisy_rims(
-    found: ContactDetection | None, chi2_max: float = 2.0, spread_max: float = 0.05
+    found: ContactDetection | None,
+    chi2_max: float = 2.0,
+    spread_max: float = 0.05,
+    *,
+    chi2_allowed: float = 1.0,
 ) -> list[str]:
     """Warning of forces that noise above the expected one makes doubtful; none for others.
 
@@ -188,13 +197,15 @@ def noisy_rims(
         Reduced χ² up to which markers are as noisy as expected.
     spread_max : float
         Relative standard deviation of a force that is well determined.
+    chi2_allowed : float
+        Reduced χ² of the largest noise that the camera may have, where its usual one is predicted.
     """
-    if found is None or found.reduced_chi2 <= chi2_max:
+    if found is None or found.chi2_of_usual <= chi2_max * chi2_allowed:
         return []
     if all(one.sd_N <= spread_max * one.force_N for one in found.contacts):
         return []
     words = (
-        f"markers are {np.sqrt(found.reduced_chi2):.1f} times their noise from where contacts put "
+        f"markers are {np.sqrt(found.chi2_of_usual):.1f} times their noise from where contacts put "
         f"them: forces with a standard deviation above {100.0 * spread_max:g} % are doubtful; "
         "check focus, light and compression"
     )
@@ -373,10 +384,11 @@ def corrected_shift(
     moved_px = moved_px[:count]
     if marked:
         moved_px = bundle.model.without_motion(moved_px, marked.mean)
-    shift = moved_px - np.where(switch_on[:, None], bundle.tip_bias_px, 0.0)
-    switch_on = confirmed_switches(bundle, switch_on, shift)
-    bias = np.where(switch_on[:, None], bundle.tip_bias_px, 0.0)
-    return np.flatnonzero(switch_on), moved_px - bias, marked
+    shift = moved_px - bundle.tip_shift_px(switch_on)
+    confirmed = confirmed_switches(bundle, switch_on, shift)
+    if (confirmed != switch_on).any():
+        shift = moved_px - bundle.tip_shift_px(confirmed)
+    return np.flatnonzero(confirmed), shift, marked
 
 
 def confirmed_switches(bundle: Bundle, switch_on: BoolArray, shift_px: FloatArray) -> BoolArray:

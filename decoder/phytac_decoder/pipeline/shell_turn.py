@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.camera_motion import MOUNTS, tabulate_camera_motion
+from phytac_decoder.estimation.contact_fit import PredictedNoise
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle import Bundle
@@ -103,6 +104,7 @@ def turned(bundle: Bundle, step: int) -> Bundle:
         read_by=bundle.read_by[order],
         rest_px=bundle.rest_px[order],
         tip_bias_px=bundle.tip_bias_px[order],
+        covers=bundle.covers.seen_in(order),
         tips=tips,
         shown=tuple(
             replace(view, rest_px=view.rest_px[order], tips=_tips(view.tips, order))
@@ -166,6 +168,10 @@ def _locator(locator: ContactLocator, order: IntArray, turn: FloatArray) -> Cont
     places = replace(places, shift_px=_pairs(places.shift_px, order), pairs=pairs)
     if noise.ratio is not None:
         noise = replace(noise, ratio=_pairs(noise.ratio, order))
+    if noise.predicted:
+        still, moved = noise.predicted.still_px, noise.predicted.moved_px
+        predicted = PredictedNoise(still_px=_pairs(still, order), moved_px=_pairs(moved, order))
+        noise = replace(noise, predicted=predicted)
     return replace(locator, places=places, noise=noise)
 
 

@@ -1,6 +1,6 @@
 """The digital channel: which switches are on, by the red tips in the image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -47,6 +47,39 @@ class TipModel:
     def threshold_px(self) -> FloatArray:
         """Red area (n,) above which a switch is on: half way between off and on."""
         return np.maximum(0.5 * (self.red_rest_px + self.red_on_px), RED_AREA_MIN_px)
+
+
+def _none() -> IntArray:
+    return np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TipCovers:
+    """Red tips that, when they are out, cover paint of another marker, which lies behind them.
+
+    Attributes
+    ----------
+    marker, tip : (k,) int
+        The marker, and the receptor whose tip covers it.
+    shift_px : (k, 2) float
+        Shift of the marker's centroid.
+    """
+
+    marker: IntArray = field(default_factory=_none)
+    tip: IntArray = field(default_factory=_none)
+    shift_px: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def shift(self, switch_on: BoolArray) -> FloatArray:
+        """Return the shift (n, 2) px of every marker by the tips (n,) that are out."""
+        out = np.zeros((len(switch_on), 2))
+        on = switch_on[self.tip]
+        np.add.at(out, self.marker[on], self.shift_px[on])
+        return out
+
+    def seen_in(self, order: IntArray) -> "TipCovers":
+        """Return the covers of markers that look as those at ``order`` (n,) did."""
+        place = np.argsort(order)
+        return TipCovers(marker=place[self.marker], tip=place[self.tip], shift_px=self.shift_px)
 
 
 def read_switches(

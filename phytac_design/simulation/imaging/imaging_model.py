@@ -209,9 +209,8 @@ class ImagingModel:
             return MarkerReading.nothing(self.count, str(error))
         moved = matched.position_px - rest.rest_px
         if self.confirm:
-            bias = np.where(bits[:, None], bundle.tip_bias_px, 0.0)
-            bits = confirmed_switches(bundle, bits, moved - bias)
-        shift = moved - np.where(bits[:, None], bundle.tip_bias_px, 0.0)
+            bits = confirmed_switches(bundle, bits, moved - bundle.tip_shift_px(bits))
+        shift = moved - bundle.tip_shift_px(bits)
         found = np.isfinite(shift[:, 0])
         return MarkerReading(shift_px=shift, bits=bits, found=found)
 
@@ -357,7 +356,7 @@ class ImagingModel:
             rest_px=np.where(sure[:, None], found.mean(axis=0), np.nan),
             noise_px=noise,
             grid_px=grid,
-            tip_bias_px=np.nan_to_num(after - before - bundle.tip_bias_px),
+            tip_bias_px=np.nan_to_num(after - before - bundle.tip_shift_px(~off)),
         )
 
     def _grid(self, bundle: Bundle, before: FloatArray) -> FloatArray:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, CameraView
-from phytac_decoder.vision.matching import match_markers
+from phytac_decoder.vision.matching import Matched, match_markers
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import Blobs, ColourModel, segment
-from phytac_decoder.vision.switch_detection import TipModel
+from phytac_decoder.vision.switch_detection import TipCovers, TipModel
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
@@ -30,9 +30,10 @@ from phytac_design.optics.visibility import (
     measure_visibility,
 )
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
+from phytac_design.simulation.imaging.tip_covers import as_detected, exact_covers
 from phytac_design.simulation.imaging.virtual_camera import bar_strip
 from phytac_design.simulation.linear_response import rigid_slope
-from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,19 +87,11 @@ def measure_expected(
     mark_px : (r, 2) float
         The same of the reference marks.
     """
-    markers, marks, n = sensor.markers, sensor.reference_marks, sensor.markers.count
-    model, classes = colour_model(sensor.design)
-    colour = classes[np.append(markers.colour, np.zeros(marks.count, dtype=np.int64))]
+    n = sensor.markers.count
+    model = colour_model(sensor.design)[0]
     rest_frame, on_frame = model.prepared(rest_frame), model.prepared(on_frame)
-    seen = [
-        match_markers(
-            segment(frame, model),
-            rest_px=np.concatenate([marker_px, mark_px]),
-            colour=colour,
-            neighbours=with_marks(markers.neighbours, marks.neighbours),
-        )
-        for frame in (rest_frame, on_frame)
-    ]
+    expected_px = np.concatenate([marker_px, mark_px])
+    seen = [_matched(sensor, frame, expected_px) for frame in (rest_frame, on_frame)]
     rest = np.where(seen[0].found[:n, None], seen[0].position_px[:n], marker_px)
     bias = np.nan_to_num(seen[1].position_px[:n] - rest)
     red = model.names.index("red")
@@ -109,6 +102,18 @@ def measure_expected(
         tip_bias_px=bias,
         tips=TipModel(on_px=red_px, red_rest_px=rest_area, red_on_px=on_area),
         marks_px=seen[0].position_px[n:],
+    )
+
+
+def _matched(sensor: Sensor, prepared: ImageArray, expected_px: FloatArray) -> Matched:
+    """Markers and marks, expected at (n + r, 2), in a frame prepared for the decoder's detector."""
+    markers, marks = sensor.markers, sensor.reference_marks
+    model, classes = colour_model(sensor.design)
+    return match_markers(
+        segment(prepared, model),
+        rest_px=expected_px,
+        colour=classes[np.append(markers.colour, np.zeros(marks.count, dtype=np.int64))],
+        neighbours=with_marks(markers.neighbours, marks.neighbours),
     )
 
 
@@ -143,6 +148,8 @@ class Shot:
         Of the reference marks.
     expected : ExpectedView
         What the decoder's marker detector finds in the frames.
+    covers : TipCovers
+        Tips that cover the paint of other markers.
     """
 
     camera: Camera
@@ -152,6 +159,13 @@ class Shot:
     seen: Visibility
     marks: MarkVisibility
     expected: ExpectedView
+    covers: TipCovers
+
+    def positions(self, sensor: Sensor, frame: ImageArray) -> FloatArray:
+        """Positions (n, 2) px of the markers that the detector finds in a frame."""
+        expected_px = np.concatenate([self.expected.rest_px, self.expected.marks_px])
+        prepared = colour_model(sensor.design)[0].prepared(frame)
+        return _matched(sensor, prepared, expected_px).position_px[: sensor.markers.count]
 
 
 def look(
@@ -173,16 +187,17 @@ def look(
     place = np.where(seen.lost[:, None], away, seen.centroid_px)
     frames = (render_frame(rest, camera), render_frame(on, camera))
     marks = mark_visibility(sensor, rest, camera, frames[0])
+    on_part = rasterise(on, camera).part
     expected = measure_expected(
         sensor,
         rest_frame=frames[0],
         on_frame=frames[1],
         marker_px=place,
-        red_px=owner_centroids(red_owner(rasterise(on, camera).part), markers.count),
+        red_px=owner_centroids(red_owner(on_part), markers.count),
         mark_px=np.where(marks.clear[:, None], marks.centroid_px, np.nan),
     )
     expected = replace(expected, rest_px=np.where(seen.lost[:, None], place, expected.rest_px))
-    return Shot(
+    shot = Shot(
         camera=camera,
         rest=rest,
         on=on,
@@ -190,7 +205,22 @@ def look(
         seen=seen,
         marks=marks,
         expected=expected,
+        covers=exact_covers(rasterise(rest, camera).part, on_part, markers.count),
     )
+    return _with_covers(sensor, shot)
+
+
+def _with_covers(sensor: Sensor, shot: Shot) -> Shot:
+    """The same with covers as the detector finds them, and without them in each tip's own bias."""
+    tolerance = tolerance_mm(shot.camera, sensor.markers)
+
+    def detect(out: BoolArray) -> FloatArray:
+        scene = build_scene(sensor, tolerance_mm=tolerance, switch_on=out)
+        return shot.positions(sensor, render_frame(scene, shot.camera))
+
+    covers = as_detected(shot.covers, sensor.markers.count, detect)
+    own = shot.expected.tip_bias_px - covers.shift(np.ones(sensor.markers.count, dtype=np.bool_))
+    return replace(shot, covers=covers, expected=replace(shot.expected, tip_bias_px=own))
 
 
 def view_arrays(sensor: Sensor, shots: Sequence[Shot]) -> tuple[Visibility, dict[str, Any]]:
@@ -209,6 +239,13 @@ def view_arrays(sensor: Sensor, shots: Sequence[Shot]) -> tuple[Visibility, dict
     tips = [shot.expected.tips for shot in shots]
     bias = np.stack([shot.expected.tip_bias_px for shot in shots])
     visible = np.stack([shot.marks.clear * shot.marks.visible_px for shot in shots])
+    read = [number[shot.covers.marker] == k for k, shot in enumerate(shots)]
+    covers = {
+        f"cover_{name}": [
+            getattr(shot.covers, name)[mine] for shot, mine in zip(shots, read, strict=True)
+        ]
+        for name in ("marker", "tip", "shift_px")
+    }
     mark_camera, own = visible.argmax(axis=0), np.arange(visible.shape[1])
     return best, {
         "mark_camera": mark_camera,
@@ -217,6 +254,7 @@ def view_arrays(sensor: Sensor, shots: Sequence[Shot]) -> tuple[Visibility, dict
         "mark_rest_px": np.stack([shot.expected.marks_px for shot in shots])[mark_camera, own],
         "camera": number,
         "tip_bias_px": bias[number, np.arange(markers.count)],
+        **{name: np.concatenate(rows) for name, rows in covers.items()},
         "shown_rest_px": np.stack(rest),
         "shown_tip_on_px": np.stack([tip.on_px for tip in tips]),
         "shown_tip_red_rest_px": np.stack([tip.red_rest_px for tip in tips]),
@@ -289,6 +327,13 @@ def bundle_marks(sensor: Sensor, views: Mapping[str, Any]) -> ReferenceMarks:
     )
 
 
+def bundle_covers(views: Mapping[str, Any]) -> TipCovers:
+    """Tips that cover other markers, as a bundle holds them."""
+    return TipCovers(
+        marker=views["cover_marker"], tip=views["cover_tip"], shift_px=views["cover_shift_px"]
+    )
+
+
 def vision_bundle(
     sensor: Sensor, views: Mapping[str, Any], *, compliance_px: FloatArray | None = None
 ) -> Bundle:
@@ -329,6 +374,7 @@ def vision_bundle(
         head_mm=markers.tip_mm,
         rest_px=own([item.rest_px for item in shown]),
         tip_bias_px=views["tip_bias_px"],
+        covers=bundle_covers(views),
         tips=TipModel(
             on_px=own([item.tips.on_px for item in shown]),
             red_rest_px=own([item.tips.red_rest_px for item in shown]),
