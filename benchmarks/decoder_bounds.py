@@ -6,6 +6,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera_motion import MOUNTS, CameraMotion, tabulate_camera_motion
 from phytac_decoder.estimation.contact_estimates import ContactDetection
+from phytac_decoder.io.bundle_locator import response_from_arrays
 from phytac_design.datasets.samples import Samples
 from phytac_design.engine.stage import Context
 from phytac_design.mechanics.meshing.mesh import marker_mesh
@@ -135,7 +136,7 @@ def _sample(
     """Bounds (m,) of m contacts at once, and of each alone."""
     slopes = force_N[:, None, None] * signals.slopes
     G = np.concatenate([signals.shift[:, :, None], slopes], axis=2) * weight[:, None]
-    known = np.array([0.0, prior.place_mm**-2, prior.place_mm**-2, prior.radius_mm**-2])
+    known = prior.known
     weighed, camera = np.swapaxes(G, 1, 2), motion.first * weight
     alone = np.array([_least(one[None], known, camera, motion.prior)[0] for one in weighed])
     return _least(weighed, known, camera, motion.prior), alone
@@ -185,4 +186,6 @@ def _signals(context: Context, samples: Samples, chosen: BoolArray) -> ContactSi
     moments = pressure_moments({name: getattr(touches, name)[chosen] for name in names})
     # An even disc of radius a has a²/4 along each axis.
     radius = np.sqrt(2.0 * (moments[:, 0] + moments[:, 2]))
-    return contact_signals(surface, shifts, uv=touches.uv[chosen], radius_mm=radius)
+    signals = contact_signals(surface, shifts, uv=touches.uv[chosen], radius_mm=radius)
+    places = response_from_arrays(context.arrays("places"), float(radius.mean()))
+    return signals.with_shear(places.shear_at(touches.point_mm[chosen]))

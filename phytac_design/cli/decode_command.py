@@ -34,6 +34,7 @@ from phytac_shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from phytac_decoder.camera.camera_motion import Mount
+    from phytac_decoder.estimation.contact_estimates import LocatedContact
     from phytac_decoder.serving.sensor_loop import Progress
     from phytac_decoder.serving.wire_protocol import Message
 
@@ -159,6 +160,7 @@ def _decode_frame(
                     "position_mm": [round(float(x), 3) for x in contact.point_mm],
                     "radius_mm": round(contact.radius_mm, 3),
                     "markers": contact.markers.tolist(),
+                    **shear_of(contact),
                 }
                 for contact in contacts
             ],
@@ -178,14 +180,28 @@ def _decode_frame(
     for contact in contacts:
         x, y, z = contact.point_mm
         switched = "" if len(contact.markers) else "; it tripped no switch"
+        shear = shear_of(contact)
+        aside = ""
+        if shear:
+            aside = ", along the surface ({:.2f}, {:.2f}, {:.2f}) N".format(*shear["shear_N"])
         typer.echo(
             f"  contact at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {contact.force_N:.2f} N, standard "
-            f"deviation {contact.sd_N:.2f} N, radius {contact.radius_mm:.1f} mm{switched}"
+            f"deviation {contact.sd_N:.2f} N, radius {contact.radius_mm:.1f} mm{aside}{switched}"
         )
     for name, force in region_N.items():
         typer.echo(f"  region {name}  {force:.2f} N")
     aside = f" and {len(reading.unswitched)} contacts without one" if reading.unswitched else ""
     typer.echo(f"total {total_N:.2f} N on {len(koi)} switched receptors{aside}")
+
+
+def shear_of(contact: "LocatedContact") -> dict[str, list[float]]:
+    """Force along the surface and its standard deviations; empty where it is not determined."""
+    if not contact.shear_observed:
+        return {}
+    return {
+        "shear_N": [round(float(part), 4) for part in contact.shear_N],
+        "shear_sd_N": [round(float(part), 4) for part in contact.shear_sd_N],
+    }
 
 
 @dataclass(kw_only=True)

@@ -90,6 +90,7 @@ def _read(arrow: Any, recording: Path, report: Callable[[str], None]) -> Any:
         "size_mm",
         "since_s",
         "sd_N",
+        *(f"shear_{part}{axis}_N" for part in ("", "sd_") for axis in "xyz"),
     ]
     types = dict.fromkeys(numbers, arrow.float64()) | {"valid": arrow.bool_()}
     # Empty where a frame has no contact.

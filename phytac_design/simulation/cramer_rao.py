@@ -17,7 +17,7 @@ Eliminating them leaves of the first term::
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,10 +41,19 @@ class PositionPrior:
         Position along and around, about the receptor.
     radius_mm : float
         Radius of the patch.
+    shear : float
+        Force along the surface over the normal force, each component.
     """
 
     place_mm: float
     radius_mm: float
+    shear: float = 0.4
+
+    @property
+    def known(self) -> FloatArray:
+        """Inverse variances (6,) of force, place, radius and force along the surface."""
+        place, shear = self.place_mm**-2, self.shear**-2
+        return np.array([0.0, place, place, self.radius_mm**-2, shear, shear])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,12 +98,18 @@ class ContactSignals:
     ----------
     shift : (c, 2n) float
         px/N.
-    slopes : (c, 2n, 3) float
-        Its change per mm along, around and of radius, px/N/mm.
+    slopes : (c, 2n, 3) or (c, 2n, 5) float
+        Its change per mm along, around and of radius, px/N/mm; and, where that is unknown, by
+        force along the surface over the normal force, px/N.
     """
 
     shift: FloatArray
     slopes: FloatArray
+
+    def with_shear(self, shear_px: FloatArray) -> "ContactSignals":
+        """Return the same with unknown force along the surface: shifts (c, 2, 2n) px/N by it."""
+        slopes = [self.slopes[:, :, :3], np.swapaxes(shear_px, 1, 2)]
+        return replace(self, slopes=np.concatenate(slopes, axis=2))
 
     def bound(
         self,
@@ -139,8 +154,7 @@ class ContactSignals:
             inner = motion.first @ motion.first.T + noise_px**2 * motion.prior
             cross = motion.first @ G
             information -= np.swapaxes(cross, 1, 2) @ np.linalg.solve(inner, cross) / noise_px**2
-        known = np.array([0.0, prior.place_mm**-2, prior.place_mm**-2, prior.radius_mm**-2])
-        covariance = np.linalg.inv(information + np.diag(known))
+        covariance = np.linalg.inv(information + np.diag(prior.known[: G.shape[2]]))
         spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         return CramerRaoBound(
             force_N=spread[:, 0],

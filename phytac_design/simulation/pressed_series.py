@@ -4,6 +4,8 @@ The powers are fitted to the motion at a few forces, the greatest last; that mot
 Koiter's expansion to third order, or large displacements where the expansion does not hold.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from phytac_design.design.spec import Design
@@ -95,6 +97,30 @@ class DiscResponse:
         NumericalError
             If linear theory fails.
         """
+        loads = self._loads(uv, radius_mm, (0.0, 0.0))
+        return loads, self._solve(loads)
+
+    def sheared(self, uv: FloatArray, radius_mm: float) -> list[list[FloatArray]]:
+        """For each place the linear motions (n, 6) by a newton along the surface on a disc.
+
+        Those of the directions of growing u, and square to it.
+
+        Raises
+        ------
+        NumericalError
+            If linear theory fails.
+        """
+        pressed = self._loads(uv, radius_mm, (0.0, 0.0))
+        motions = [
+            self._solve(self._loads(uv, radius_mm, friction) - pressed)
+            for friction in ((1.0, 0.0), (0.0, 1.0))
+        ]
+        return [
+            [self.kinematics.linear(motion[:, k].copy()) for motion in motions]
+            for k in range(len(uv))
+        ]
+
+    def _loads(self, uv: FloatArray, radius_mm: float, friction: tuple[float, float]) -> FloatArray:
         count = len(uv)
         touches = Contacts.flat(
             sample=np.arange(count),
@@ -103,8 +129,12 @@ class DiscResponse:
             force_N=np.ones(count),
             samples=count,
         )
-        loads = indentation_loads(self.mesh, self.surface, touches, holes=self.holes).toarray()
-        return loads, self.model.solve(loads).motion.reshape(loads.shape)
+        touches = replace(touches, friction=np.tile(friction, (count, 1)))
+        loads = indentation_loads(self.mesh, self.surface, touches, holes=self.holes)
+        return np.asarray(loads.toarray())
+
+    def _solve(self, loads: FloatArray) -> FloatArray:
+        return self.model.solve(loads).motion.reshape(loads.shape)
 
     def _motions(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
         # The same from which on a sensor is beyond the expansion.

@@ -8,6 +8,7 @@ face.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import factorial
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -41,6 +42,10 @@ NearScene = Callable[[float, FloatArray], BoolArray]
 HIGHER_ORDER_SPACING = 2.0
 """Distance of places at which the higher powers of the force are solved, over that of places:
 they are a small part of the shifts, and are interpolated."""
+
+
+NONE = np.zeros(0)
+"""Forces of motions that are linear."""
 
 
 def everywhere(_: float, uv: FloatArray) -> BoolArray:
@@ -148,6 +153,91 @@ def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
     return spacing / flat_refinement if flatter else spacing
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Grid:
+    """Tables over places of a surface, of which the turned copies of solved ones are not solved.
+
+    Attributes
+    ----------
+    surface, markers : Surface, Markers
+        The sensor.
+    radius_mm : float
+        Of the discs.
+    sectors, turn : int, (3, 3) float or None
+        Sectors by which the shell repeats itself around, and the rotation by one.
+    near : NearScene
+        Which places are wanted.
+    """
+
+    loads: ClassVar[int] = 32
+    """Places solved together."""
+
+    surface: Surface
+    markers: Markers
+    radius_mm: float
+    sectors: int
+    turn: FloatArray | None
+    near: NearScene
+    progress: Callable[[str], None]
+
+    def table(
+        self,
+        apart_mm: float,
+        count: int,
+        solve: Callable[[FloatArray], list[list[FloatArray]]],
+        image: Callable[[list[FloatArray]], FloatArray],
+        what: str = "",
+    ) -> tuple[ResponseTable, FloatArray, int]:
+        """Table of ``count`` rows a place, its places (p, 2), and how many were solved.
+
+        Parameters
+        ----------
+        apart_mm : float
+            What places are at most apart.
+        solve : callable
+            Motions (n, 6) of markers, of each of places (c, 2).
+        image : callable
+            Rows (k, 2n) of shifts by the motions of one place, k up to ``count``.
+        what : str
+            What is solved, for the progress.
+        """
+        ring = rings(self.surface, apart_mm, self.sectors)
+        wanted = np.flatnonzero(self.near(apart_mm, ring.uv))
+        if len(wanted) < PLACES_MIN:
+            raise DesignError(
+                "response-places-too-few",
+                f"the given part of the surface holds {len(wanted)} places of the tables, "
+                f"{apart_mm:.2g} mm apart; it takes {PLACES_MIN}: widen it",
+            )
+        solved = np.unique(ring.base[wanted])
+        copies = [np.flatnonzero(ring.base[wanted] == base) for base in solved]
+        columns = self.markers.lattice.columns if self.markers.lattice else 1
+        out = np.zeros((len(wanted), count, 2 * self.markers.count), dtype=np.float32)
+        for first in range(0, len(solved), self.loads):
+            batch = solved[first : first + self.loads]
+            for rows, motions in zip(
+                copies[first : first + self.loads], solve(ring.uv[batch]), strict=True
+            ):
+                for row in rows:
+                    times = int(ring.turns[wanted[row]])
+                    turned = [
+                        _turned(one, self.turn, times, columns, self.sectors) for one in motions
+                    ]
+                    shifts = image(turned)
+                    out[row, : len(shifts)] = shifts
+            self.progress(f"places: {min(first + self.loads, len(solved))} of {len(solved)}{what}")
+        uv = ring.uv[wanted]
+        along, around = tangent_frame(self.surface, uv)
+        places = ResponseTable(
+            point_mm=self.surface.point(uv),
+            along=along,
+            around=around,
+            shift_px=out,
+            radius_mm=self.radius_mm,
+        )
+        return places, uv, len(solved)
+
+
 def tabulate_responses(
     sensor: Sensor,
     *,
@@ -188,7 +278,6 @@ def tabulate_responses(
     DesignError
         If fewer than ``PLACES_MIN`` are wanted.
     """
-    loads = 32  # solved together
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training = design.training
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
@@ -198,64 +287,63 @@ def tabulate_responses(
         sectors, turn = 1, None
     least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / bytes_max)
     spacing = max(spacing_mm, float(least))
+    grid = _Grid(
+        surface=surface,
+        markers=markers,
+        radius_mm=radius,
+        sectors=sectors,
+        turn=turn,
+        near=near,
+        progress=progress,
+    )
+    first = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
+    places, uv, solves = grid.table(
+        spacing, 1, lambda at: first.motions(at, radius), lambda motions: see.powers(motions, NONE)
+    )
 
-    def table(
-        powers: int, apart_mm: float
-    ) -> tuple[ResponseTable, FloatArray, int, DiscResponse, int]:
-        ring = rings(surface, apart_mm, sectors)
-        wanted = np.flatnonzero(near(apart_mm, ring.uv))
-        if len(wanted) < PLACES_MIN:
-            raise DesignError(
-                "response-places-too-few",
-                f"the given part of the surface holds {len(wanted)} places of the tables, "
-                f"{apart_mm:.2g} mm apart; it takes {PLACES_MIN}: widen it",
-            )
-        row = np.full(len(ring.uv), -1)
-        row[wanted] = np.arange(len(wanted))
-        solved = np.unique(ring.base[wanted])
-        shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=powers)
-        out = np.zeros((len(wanted), powers, 2 * markers.count), dtype=np.float32)
-        copies = [wanted[ring.base[wanted] == base] for base in solved]
-        unsure = 0
-        for first in range(0, len(solved), loads):
-            batch = solved[first : first + loads]
-            for own, motions in zip(
-                copies[first : first + loads],
-                shell.motions(ring.uv[batch], radius),
-                strict=True,
-            ):
-                unsure += len(motions) < powers
-                for place in own:
-                    times = int(ring.turns[place])
-                    turned = [_turned(m, turn, times, columns, sectors) for m in motions]
-                    out[row[place], : len(motions)] = see.powers(turned, shell.forces)
-            progress(
-                f"places: {min(first + loads, len(solved))} of {len(solved)}"
-                + (", large displacements" if powers > 1 else "")
-            )
-        along, around = tangent_frame(surface, ring.uv[wanted])
-        places = ResponseTable(
-            point_mm=surface.point(ring.uv[wanted]),
-            along=along,
-            around=around,
-            shift_px=out,
-            radius_mm=radius,
-        )
-        return places, ring.uv[wanted], len(solved), shell, unsure
+    def shear(apart_mm: float) -> ResponseTable:
+        """Linear shifts by a newton along and around."""
+        return grid.table(
+            apart_mm,
+            2,
+            lambda at: first.sheared(at, radius),
+            lambda motions: np.concatenate([see.powers([one], NONE) for one in motions]),
+            what=", force along the surface",
+        )[0]
 
-    places, uv, solves, _, _ = table(1, spacing)
     if orders == 1:
         return TabulatedResponse(
-            places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=spacing, give=[]
+            places=replace(places, shear=shear(spacing)),
+            solves=solves,
+            bent=0,
+            large=0,
+            unsure=0,
+            spacing_mm=spacing,
+            give=[],
         )
     # A small part of the surface holds too few places so far apart.
     apart = HIGHER_ORDER_SPACING * spacing
     if near(apart, rings(surface, apart, sectors).uv).sum() < PLACES_MIN:
         apart = spacing
-    higher, _, bent, shell, unsure = table(orders, apart)
+    shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=orders)
+    unsure = 0
+
+    def powers(motions: list[FloatArray]) -> FloatArray:
+        nonlocal unsure
+        unsure += len(motions) < orders
+        return see.powers(motions, shell.forces)
+
+    higher, _, bent = grid.table(
+        apart, orders, lambda at: shell.motions(at, radius), powers, what=", large displacements"
+    )
     more = interpolate_responses(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
-    places = replace(places, shift_px=whole, top_N=float(shell.forces[-1]))
+    places = replace(
+        places,
+        shift_px=whole,
+        top_N=float(shell.forces[-1]),
+        shear=shear(apart),
+    )
     progress("places: flat walls")
     places, give = add_membrane_walls(shell, see, places, uv)
     progress("places: pairs of contacts")

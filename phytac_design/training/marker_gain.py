@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phytac_decoder.estimation.contact_fit import initial_state
-from phytac_decoder.estimation.contact_shifts import centre_of, predicted_shifts
+from phytac_decoder.estimation.contact_shifts import PLACED, centre_of, predicted_shifts
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.mechanics.response_table import ResponseTable
-from phytac_design.datasets.samples import FAILED, Samples
+from phytac_design.datasets.samples import FAILED, REAL, Samples
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -130,11 +130,17 @@ def predict_residuals(
             states.append(
                 initial_state(locator.places, locator.prior, touches.point_mm[row], force)
             )
-            states[-1].x[3:] = moments_mm2[row]
-        for state, (one, _) in zip(states, predicted_shifts(locator.places, states), strict=True):
+            states[-1].x[3:PLACED] = moments_mm2[row]
+            states[-1].x[PLACED:] = touches.friction[row]
+        parts = predicted_shifts(locator.places, states)
+        for state, (one, _) in zip(states, parts, strict=True):
             total += one
             linear_N = float(np.linalg.norm(one) / per_newton[state.place])
             known.append((number, centre_of(locator.places, state), linear_N))
+        # A rig that measures one axis leaves the force along the surface unknown.
+        if samples.theory[sample] == REAL and not np.any(touches.friction[rows]):
+            slope = np.concatenate([slope[PLACED:] for _, slope in parts])
+            total += _sheared_px(locator, total, slope, shift[sample].reshape(-1), bits[sample])
         predicted[number] = total.reshape(-1, 2)
         residual[number] = shift[sample] - predicted[number]
     contacts = KnownContacts(
@@ -145,6 +151,36 @@ def predict_residuals(
     return PredictionResiduals(
         predicted_px=predicted, residual_px=residual, on=bits[chosen]
     ), contacts
+
+
+def _sheared_px(
+    locator: ContactLocator,
+    total_px: FloatArray,
+    slope: FloatArray,
+    shift_px: FloatArray,
+    on: BoolArray,
+) -> FloatArray:
+    """Return the shifts (2n,) by unknown force along the surface, as far as the samples show it.
+
+    Parameters
+    ----------
+    total_px : (2n,) float
+        Shifts by normal forces.
+    slope : (2c, 2n) float
+        Shifts by the force along the surface, over the normal force, of each contact.
+    shift_px : (2n,) float
+        Measured shifts, NaN where a marker was not found.
+    on : (n,) bool
+        Switches that are on.
+    """
+    noise = locator.noise
+    variance = noise.each_px**2 + (noise.share * total_px) ** 2
+    variance += np.repeat(on, 2) * noise.switched_px**2
+    found = np.isfinite(shift_px)
+    weighed = slope * np.where(found, 1.0 / variance, 0.0)
+    prior = np.eye(len(slope)) / locator.prior.shear_sd**2
+    residual = np.where(found, shift_px - total_px, 0.0)
+    return np.asarray(np.linalg.solve(weighed @ slope.T + prior, weighed @ residual) @ slope)
 
 
 def fit_gains(seen: PredictionResiduals) -> FloatArray:
@@ -225,7 +261,10 @@ def apply_gain(places: ResponseTable, gain: FloatArray) -> ResponseTable:
     pairs = places.pairs
     if pairs is not None:
         pairs = replace(pairs, axes_px=_with_gain(pairs.axes_px, gain))
-    return places.with_rows(_with_gain(places.shift_px, gain), pairs)
+    shear = places.shear
+    if shear is not None:
+        shear = shear.with_rows(_with_gain(shear.shift_px, gain))
+    return places.with_rows(_with_gain(places.shift_px, gain), pairs=pairs, shear=shear)
 
 
 def _with_gain(images_px: NDArray[np.float32], gain: FloatArray) -> NDArray[np.float32]:

@@ -131,7 +131,7 @@ class StiffnessField:
         softer = np.einsum("pkn,pn->pk", rows, rows[:, 0])
         softer /= np.maximum(softer[:, :1], np.float32(1e-30))
         whole = rows + softer[:, :, None] * change.reshape(len(rows), 1, -1)
-        return self.places.with_rows(whole, self.places.pairs)
+        return self.places.with_rows(whole)
 
     def _correlation(self, points_mm: FloatArray) -> FloatArray:
         """Return the correlation (q, c) of D between points (q, 3) and the contacts."""

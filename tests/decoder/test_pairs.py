@@ -65,7 +65,7 @@ def pairs() -> InteractionTable:
 
 
 def aware(locator: ContactLocator) -> ContactLocator:
-    return replace(locator, places=locator.places.with_rows(locator.places.shift_px, pairs()))
+    return replace(locator, places=locator.places.with_rows(locator.places.shift_px, pairs=pairs()))
 
 
 def pressed(at: list[FloatArray], force_N: list[float]) -> FloatArray:
@@ -189,7 +189,7 @@ def test_mixed_terms_are_no_more_than_a_share_of_what_each_does_alone() -> None:
     at = [np.array([20.0, 20.0, 0.0]), np.array([27.0, 20.0, 0.0])]
     found = states(places, at, [20.0, 3.0])
     alone = [one for one, _ in predicted_shifts(flat_locator().places, found)]
-    more = total(places.with_rows(places.shift_px, wild), found) - np.sum(alone, axis=0)
+    more = total(places.with_rows(places.shift_px, pairs=wild), found) - np.sum(alone, axis=0)
     assert np.linalg.norm(more) == pytest.approx(0.3 * np.linalg.norm(alone[1]), rel=1e-4)
 
 
@@ -211,7 +211,7 @@ def test_a_tentative_contact_is_not_reported_and_takes_its_own_force(
     """Too faint to be sure of, and too strong to be left to its neighbour."""
     none = replace(pairs(), axes_px=np.zeros_like(pairs().axes_px))
     plain = flat_locator()
-    locator = replace(plain, places=plain.places.with_rows(plain.places.shift_px, none))
+    locator = replace(plain, places=plain.places.with_rows(plain.places.shift_px, pairs=none))
     at = np.array([30.0, 30.0, 0.0])
     seen = together([at, np.array([43.0, 33.0, 0.0])], [10.0, 0.15])
     koi = np.array([nearest(at)])

@@ -177,7 +177,7 @@ def test_with_few_samples_a_wrong_field_is_dropped(
             return table
         # Each left-out part is read a tenth too strong or too weak.
         factor = 1.0 if without_fold is None else 1.0 + 0.1 * (-1.0) ** without_fold
-        return table.with_rows(np.float32(factor) * table.shift_px, None)
+        return table.with_rows(np.float32(factor) * table.shift_px, pairs=None)
 
     monkeypatch.setattr(StiffnessField, "table", wrong)
     facts = calibrate_locator(LOCATOR, samples, np.arange(count), force_max_N=25.0)[1]

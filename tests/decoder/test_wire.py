@@ -5,6 +5,7 @@ import json
 import os
 import struct
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from phytac_decoder.serving.wire_protocol import (
 )
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.toy_sensor import toy_bundle
+from tests.made_up import at, found_of
 from tests.refusals import refused
 
 COUNT = 30
@@ -45,7 +47,7 @@ def reading(forces_N: dict[int, float], *warnings: str) -> Reading:
 
 def test_hello_describes_the_numbers() -> None:
     hello = messages().hello()
-    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.4")
+    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.5")
     assert hello["design"] == "toy"
     assert hello["markers"] == len(hello["positions_mm"]) == COUNT
     assert hello["positions_mm"][7] == [10.0, 10.0, 0.0]
@@ -103,6 +105,33 @@ def test_net_force_acts_against_the_outward_normals() -> None:
     normals[3] = [1.0, 0.0, 0.0]
     message = messages(normals).frame(reading({3: 2.0, 8: 5.0}), sequence=0, timestamp_s=0.0)
     assert message["net_force_N"] == [-2.0, -3.0, -4.0]
+
+
+def test_force_along_the_surface_is_part_of_contact_net_force_and_recording(
+    tmp_path: Path,
+) -> None:
+    one = replace(
+        at(np.array([10.0, 10.0, 0.0]), [7], 3.0),
+        shear_N=np.array([0.5, -1.0, 0.0]),
+        shear_sd_N=np.array([0.1, 0.2, 0.0]),
+        shear_share=0.2,
+    )
+    hidden = replace(one, point_mm=np.array([40.0, 40.0, 0.0]), shear_share=0.9)
+    found = found_of(one, hidden, shift_px=np.zeros(2 * COUNT))
+    normals = np.tile([0.0, 0.0, 1.0], (COUNT, 1))
+    message = messages(normals).frame(
+        replace(reading({7: 3.0}), found=found), sequence=0, timestamp_s=0.0
+    )
+    seen, unseen = message["contacts"]
+    assert seen["shear_N"] == [0.5, -1.0, 0.0]
+    assert seen["shear_sd_N"] == [0.1, 0.2, 0.0]
+    assert "shear_N" not in unseen
+    assert message["net_force_N"][:2] == [0.5, -1.0]
+    with Recorder(tmp_path / "out.csv") as recorder:
+        recorder.add(message)
+    _, first, second = (tmp_path / "out.csv").read_text().splitlines()
+    assert first.endswith(",0.5,-1.0,0.0,0.1,0.2,0.0")
+    assert second.endswith(",,,,,,")
 
 
 def test_a_pull_does_not_push_a_contacts_place_off_it() -> None:
@@ -316,9 +345,9 @@ def test_a_recording_has_a_row_for_each_contact_and_loses_none(tmp_path: Path) -
     assert tuple(head) == COLUMNS
     first, second = ["4", "0.5", "1", "2", "0"], ["4", "0.5", "1", "2", "1"]
     assert rows == [
-        [*first, "4.0", "12.5", "12.5", "0.0", "7 14", "0", "20.82", "0.5", "", ""],
-        [*second, "0.5", "40.0", "40.0", "0.0", "28", "1", "11.55", "0.5", "", ""],
-        ["6", "0.75", "1", "0", *[""] * 11],
+        [*first, "4.0", "12.5", "12.5", "0.0", "7 14", "0", "20.82", "0.5", *[""] * 8],
+        [*second, "0.5", "40.0", "40.0", "0.0", "28", "1", "11.55", "0.5", *[""] * 8],
+        ["6", "0.75", "1", "0", *[""] * 17],
     ]
     with refused("output-exists") as caught:
         Recorder(path)
@@ -347,7 +376,7 @@ def test_a_recording_of_regions_has_a_row_for_each_frame(tmp_path: Path) -> None
 class Full(io.FileIO):
     """A file on a disk that takes few bytes more."""
 
-    room = 150
+    room = 235
 
     def write(self, data: Any) -> int:
         if self.room <= 0:

@@ -1,5 +1,6 @@
 """Tables of the estimator ``auto`` against the simulated sensor's own, finer shell."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -74,7 +75,9 @@ def solver() -> Solver:
     return Solver(DESIGN, SURFACE, unit, refine=9, displacement="large")
 
 
-def true_shifts(uv: FloatArray, radius_mm: float, force_N: float) -> FloatArray:
+def true_shifts(
+    uv: FloatArray, radius_mm: float, force_N: float, *, friction: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
     """Shifts (2n,) px of discs at places (c, 2) at once, each of that force."""
     count = len(uv)
     touch = Contacts.flat(
@@ -84,11 +87,27 @@ def true_shifts(uv: FloatArray, radius_mm: float, force_N: float) -> FloatArray:
         force_N=np.full(count, force_N),
         samples=1,
     )
+    touch = replace(touch, friction=np.tile(friction, (count, 1)))
     motion = solver().solve(touch, np.full(count, force_N)).motion
     assert motion is not None
     watched = MARKERS.mid_mm + ARM
     moved = READERS.project(watched + turned_points(motion, ARM))
     return np.asarray(moved - READERS.project(watched)).ravel()
+
+
+def test_force_along_the_surface_moves_markers_as_the_solved_wall_does() -> None:
+    """At places between those that were solved, by a finer mesh and a small force."""
+    places = tabulated().places
+    assert places.shear is not None
+    assert len(places.shear.point_mm) < len(places.point_mm)
+    u = SURFACE.domain[0].mean()
+    for v in (0.13, 0.61):
+        uv = np.array([[u, SURFACE.domain[1] @ [1.0 - v, v]]])
+        plain = true_shifts(uv, places.radius_mm, 0.01)
+        table = places.shear_at(SURFACE.point(uv))[0]
+        for axis, friction in enumerate(((0.5, 0.0), (0.0, 0.5))):
+            shifts = true_shifts(uv, places.radius_mm, 0.01, friction=friction)
+            assert off(table[axis], (shifts - plain) / 0.005) < 0.08
 
 
 def predicted(places: ResponseTable, place: int, force_N: float) -> FloatArray:

@@ -141,7 +141,8 @@ def test_discs_at_once_move_the_markers_as_large_displacements_have_it() -> None
 
 def test_one_disc_answers_as_before() -> None:
     seen, predicted, alone = seen_and_predicted(bench(), [20.0])
-    np.testing.assert_array_equal(predicted, alone)
+    # To rounding: processors add 32-bit numbers in different orders.
+    np.testing.assert_allclose(predicted, alone, rtol=1e-5, atol=1e-6)
     assert np.linalg.norm(predicted - seen) < 0.03 * np.linalg.norm(seen)
 
 

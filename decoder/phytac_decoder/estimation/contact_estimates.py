@@ -7,6 +7,9 @@ import numpy as np
 from phytac_decoder.estimation.contact_fit import ContactFit
 from phytac_shapes.arrays import FloatArray, IntArray
 
+SHEAR_SHARE_MAX = 0.5
+"""Largest :attr:`LocatedContact.shear_share` of a force along the surface that is reported."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LocatedContact:
@@ -33,6 +36,12 @@ class LocatedContact:
         Second moments xx, xy, yy less those of the tables' disc.
     signal_px : float
         Shift of all markers together, px per newton.
+    shear_N, shear_sd_N : (3,) float
+        Force along the surface on the sensor, in the sensor's axes, and the standard deviation of
+        each component.
+    shear_share : float
+        Standard deviation of that force in its best known direction over what it was before the
+        frame: near 0 the markers determine it, from 1 on they say nothing about it.
     """
 
     markers: IntArray
@@ -46,6 +55,14 @@ class LocatedContact:
     sd_mm: FloatArray
     moments_mm2: FloatArray
     signal_px: float
+    shear_N: FloatArray = field(default_factory=lambda: np.zeros(3))
+    shear_sd_N: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+    shear_share: float = 1.0
+
+    @property
+    def shear_observed(self) -> bool:
+        """Whether the markers say more about the force along the surface than the prior does."""
+        return self.shear_share <= SHEAR_SHARE_MAX
 
 
 @dataclass(frozen=True, kw_only=True)

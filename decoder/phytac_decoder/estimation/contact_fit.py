@@ -12,9 +12,14 @@ from functools import cached_property
 import numpy as np
 
 from phytac_decoder.camera.camera_motion import CameraMotion
-from phytac_decoder.estimation.contact_shifts import UNKNOWNS, ContactState, predicted_shifts
+from phytac_decoder.estimation.contact_shifts import (
+    PLACED,
+    UNKNOWNS,
+    ContactState,
+    predicted_shifts,
+)
 from phytac_decoder.mechanics.interaction_table import InteractionCache
-from phytac_decoder.mechanics.response_table import ResponseTable
+from phytac_decoder.mechanics.response_table import ResponseTable, axes_turn
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -62,12 +67,15 @@ class ContactPrior:
     force_N : float
         Standard deviation of its force about 0: no contact is far stronger than the sensor is
         designed for, however weakly markers beside a rim respond.
+    shear_sd : float
+        Standard deviation of each component of the force along the surface, over the normal force.
     """
 
     place_mm: float
     moments_mm2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     moments_sd_mm2: tuple[float, float, float] = (3.0, 2.0, 3.0)
     force_N: float = 1e3
+    shear_sd: float = 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +214,7 @@ class ContactFit:
     inverse : (2n,) float
         Weights: the inverse variance of each shift, reduced for outliers, 0 where a marker was not
         found.
-    covariance : (6c, 6c) float
+    covariance : (8c, 8c) float
         Covariance of all unknowns.
     cost : float
         Robust sum of squared residuals and of deviations from the prior.
@@ -249,10 +257,11 @@ def initial_state(
     xy = places.tangent_coordinates([place], point_mm[None])[0]
     return ContactState(
         place=place,
-        x=np.array([force_N, *xy, *prior.moments_mm2]),
+        x=np.array([force_N, *xy, *prior.moments_mm2, 0.0, 0.0]),
         start_mm=point_mm,
         place_sd_mm=place_sd_mm or prior.place_mm,
         tables=places.cubic(place),
+        shear=places.shear_cubic(place),
         markers=np.zeros(0, dtype=np.int64) if markers is None else markers,
     )
 
@@ -329,10 +338,17 @@ def fit_contacts(
 
 
 def _prior_sd(states: Sequence[ContactState], prior: ContactPrior) -> FloatArray:
-    """Return the standard deviations (c, 6) of contacts' unknowns."""
+    """Return the standard deviations (c, 8) of contacts' unknowns."""
     return np.array(
         [
-            [prior.force_N, state.place_sd_mm, state.place_sd_mm, *prior.moments_sd_mm2]
+            [
+                prior.force_N,
+                state.place_sd_mm,
+                state.place_sd_mm,
+                *prior.moments_sd_mm2,
+                prior.shear_sd,
+                prior.shear_sd,
+            ]
             for state in states
         ]
     )
@@ -360,7 +376,7 @@ def robust_cost(residual_px: FloatArray, inverse: FloatArray) -> tuple[float, Fl
 def prior_residual(
     places: ResponseTable, states: Sequence[ContactState], prior: ContactPrior
 ) -> FloatArray:
-    """Return the deviation of contacts from their priors, (6c,)."""
+    """Return the deviation of contacts from their priors, (8c,)."""
     if not states:
         return np.zeros(0)
     x = np.array([state.x for state in states])
@@ -368,7 +384,7 @@ def prior_residual(
     own = [state.place for state in states]
     off = x.copy()
     off[:, 1:3] = x[:, 1:3] - places.tangent_coordinates(own, starts)
-    off[:, 3:] -= np.array(prior.moments_mm2)
+    off[:, 3:PLACED] -= np.array(prior.moments_mm2)
     return off.reshape(-1)
 
 
@@ -376,7 +392,7 @@ def _take_step(places: ResponseTable, states: Sequence[ContactState], step: Floa
     """Take a bounded step; return its size, see ``step_tolerance``."""
     if not states:
         return 0.0
-    longest = np.repeat([np.inf, SETTINGS.step_mm, SETTINGS.step_mm2], (1, 2, 3))
+    longest = np.repeat([np.inf, SETTINGS.step_mm, SETTINGS.step_mm2, np.inf], (1, 2, 3, 2))
     old = np.array([state.x for state in states])
     new = old + np.clip(step.reshape(-1, UNKNOWNS), -longest, longest)
     force = old[:, 0]
@@ -390,7 +406,9 @@ def _take_step(places: ResponseTable, states: Sequence[ContactState], step: Floa
     nearest = places.nearest(points)
     for state, place, point, x in zip(states, nearest.tolist(), points, new, strict=True):
         if place != state.place:
+            x[PLACED:] = axes_turn(places.axes[place], places.axes[state.place]) @ x[PLACED:]
             state.place, state.tables = place, places.cubic(place)
+            state.shear = places.shear_cubic(place)
             x[1:3] = places.tangent_coordinates([place], point[None])[0]
         # Farther from a place there is no surface: the contact would lie beyond a rim.
         far = float(np.hypot(*x[1:3])) / (SETTINGS.place_distance_max * places.spacing_mm)

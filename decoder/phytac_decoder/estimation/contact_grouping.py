@@ -36,6 +36,8 @@ class Contact:
         When it was first seen, on the source's clock.
     sd_N : float, optional
         Standard deviation of the force, where the estimator has it.
+    shear_N, shear_sd_N : (x, y, z), optional
+        Force along the surface and its standard deviations, where the markers determine it.
     """
 
     markers: tuple[int, ...]
@@ -45,6 +47,8 @@ class Contact:
     id: int = -1
     since_s: float = 0.0
     sd_N: float | None = None
+    shear_N: Place | None = None
+    shear_sd_N: Place | None = None
 
 
 def group_key_nodes(koi: IntArray, neighbours: IntArray) -> list[list[int]]:

@@ -11,8 +11,11 @@ from phytac_decoder.mechanics.membrane_stretching import lost_softness, order_fa
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 
-UNKNOWNS = 6
-"""Of a contact: force (N), centre along and around (mm), second moments xx, xy, yy (mm²)."""
+UNKNOWNS = 8
+"""Of a contact: force (N), centre along and around (mm), second moments xx, xy, yy (mm²), and
+force along the surface over the normal force, along and around."""
+PLACED = 6
+"""The first of them, without force along the surface."""
 
 
 @dataclass(kw_only=True)
@@ -23,7 +26,7 @@ class ContactState:
     ----------
     place : int
         Nearest place of the tables.
-    x : (6,) float
+    x : (8,) float
         Unknowns; the centre in the tangent plane about that place.
     start_mm : (3,) float
         Prior centre, by its switches.
@@ -31,6 +34,8 @@ class ContactState:
         Standard deviation of the prior centre.
     tables : (10, k, 2n) float32
         Derivatives of the tables at the place.
+    shear : (10, 2, 2n) float32
+        The same of shifts by force along the surface.
     markers : (m,) int
         Switches that it was started from.
     tentative : bool
@@ -42,6 +47,7 @@ class ContactState:
     start_mm: FloatArray
     place_sd_mm: float
     tables: NDArray[np.float32]
+    shear: NDArray[np.float32]
     markers: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     tentative: bool = False
 
@@ -53,7 +59,7 @@ class ContactState:
 def predicted_shifts(
     places: ResponseTable, states: Sequence[ContactState], cache: InteractionCache | None = None
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Return shifts (2n,) and slopes (6, 2n) of simultaneous contacts, one pair each.
+    """Return shifts (2n,) and slopes (8, 2n) of simultaneous contacts, one pair each.
 
     The effect of a contact on others, on its flat wall or by interactions, is part of its own
     slope; the shifts of an interaction are divided equally. See :func:`single_contact_shifts`.
@@ -91,7 +97,7 @@ def centre_of(places: ResponseTable, state: ContactState) -> FloatArray:
 def single_contact_shifts(
     state: ContactState, orders: int, *, top_N: float = np.inf
 ) -> tuple[FloatArray, FloatArray]:
-    """Return shifts (2n,) px of a single contact, and their slopes (6, 2n) by its unknowns.
+    """Return shifts (2n,) px of a single contact, and their slopes (8, 2n) by its unknowns.
 
     Parameters
     ----------
@@ -103,9 +109,16 @@ def single_contact_shifts(
     f = float(state.x[0])
     rows = _rows(state, state.tables[:, :orders])
     powers, change = order_factors(rows[0], f, top_N)
-    slope = ((f * powers).astype(np.float32) @ rows).astype(np.float64)
+    slope = np.empty((UNKNOWNS, rows.shape[2]))
+    slope[:PLACED] = (f * powers).astype(np.float32) @ rows
     total = slope[0].copy()
     slope[0] = ((1.0 + change) * powers).astype(np.float32) @ rows[0]
+    shear = _rows(state, state.shear)
+    slope[PLACED:] = f * shear[0]
+    sheared = state.x[PLACED:].astype(np.float32) @ shear
+    total += f * sheared[0]
+    slope[0] += sheared[0]
+    slope[1:PLACED] += f * sheared[1:]
     return total, slope
 
 
@@ -137,11 +150,11 @@ def _on_wall(
         more = ((lost**order - own**order).astype(np.float32) @ rows).astype(np.float64)
         total += f * more[0]
         more[1:] *= f
-        slope += more
-        slope -= np.outer(by_own[0], f * (order * own ** (order - 1)) @ rows[0])
+        slope[:PLACED] += more
+        slope[:PLACED] -= np.outer(by_own[0], f * (order * own ** (order - 1)) @ rows[0])
         stiffer += f * (order * lost ** (order - 1)) @ rows[0]
     for part, by in zip(out, by_all, strict=True):
-        part[1][:] += np.outer(by, stiffer)
+        part[1][:PLACED] += np.outer(by, stiffer)
     return out
 
 
@@ -162,7 +175,7 @@ def _lost(
 def _rows(state: ContactState, tables: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return rows (6, k, 2n) of shifts and their slopes, by derivatives (10, k, 2n) of tables."""
     rows = _terms(state) @ tables.reshape(10, -1)
-    return np.asarray(rows.reshape(UNKNOWNS, *tables.shape[1:]))
+    return np.asarray(rows.reshape(PLACED, *tables.shape[1:]))
 
 
 def _terms(state: ContactState) -> NDArray[np.float32]:
@@ -171,7 +184,7 @@ def _terms(state: ContactState) -> NDArray[np.float32]:
     Rows: value, d/dx, d/dy, then those by the moments.
     """
     # Plain numbers are faster: this runs for each contact in each iteration.
-    _, x, y, m_xx, m_xy, m_yy = state.x.tolist()
+    _, x, y, m_xx, m_xy, m_yy, _, _ = state.x.tolist()
     xx, xy, yy, hx, hy = x * x / 2.0, x * y, y * y / 2.0, x / 2.0, y / 2.0
     m_xx, m_yy = m_xx / 2.0, m_yy / 2.0
     a, b, c = xx + m_xx, xy + m_xy, yy + m_yy

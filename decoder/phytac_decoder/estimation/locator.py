@@ -11,6 +11,7 @@ markers decides alone.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,10 @@ from phytac_decoder.estimation.contact_fit import (
     prior_residual,
 )
 from phytac_decoder.estimation.contact_grouping import assign_to_contacts, group_key_nodes
-from phytac_decoder.estimation.contact_shifts import UNKNOWNS, ContactState, centre_of
+from phytac_decoder.estimation.contact_shifts import PLACED, UNKNOWNS, ContactState, centre_of
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
+from phytac_decoder.estimation.square_press import SHEAR_SPREAD, average_over_square
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.discs import disc_overlap_share
@@ -435,11 +437,8 @@ class ContactLocator:
         )
         if not accepted:
             return out
-        states = [best.states[k] for k in accepted]
-        # Residuals beyond noise are errors of the model, of any kind: they widen all spreads. Noise
-        # beyond the usual one is an error of the picture, often alike for many markers.
-        wider = found.noise_scale * np.sqrt(max(best.reduced_chi2, 1.0))
-        sd = wider * np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)[accepted]
+        states, covariances = self._averaged(best, accepted, noise_scale=found.noise_scale)
+        sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
         sd[:, 0] = np.hypot(sd[:, 0], self._force_by_place(best)[accepted])
         sd[:, 0] *= _upper_side(sd[:, 0], np.array([best.states[k].x[0] for k in accepted]))
         points = np.stack([centre_of(self.places, state) for state in states])
@@ -473,8 +472,9 @@ class ContactLocator:
                     point_mm=points[k],
                     radius_mm=float(radius[k]),
                     sd_mm=sd[k, 1:3],
-                    moments_mm2=state.x[3:].copy(),
+                    moments_mm2=state.x[3:PLACED].copy(),
                     signal_px=float(signal[k]),
+                    **self._shear(state, covariances[k], force[k] / raw[k]),
                 )
             )
         out.contacts.sort(key=lambda contact: len(contact.markers) == 0)
@@ -514,6 +514,48 @@ class ContactLocator:
             if int(places.nearest(next_one[None])[0]) == own:
                 return True
         return False
+
+    def _averaged(
+        self, best: ContactFit, accepted: Sequence[int], *, noise_scale: float
+    ) -> tuple[list[ContactState], FloatArray]:
+        """Return the accepted contacts, and their covariances (c, 8, 8), with or without shear."""
+        # Residuals beyond noise are errors of the model, of any kind: they widen all spreads. Noise
+        # beyond the usual one is an error of the picture, often alike for many markers.
+        wider = noise_scale**2 * max(best.reduced_chi2, 1.0)
+        states, covariances = [], []
+        for k in accepted:
+            own = slice(UNKNOWNS * k, UNKNOWNS * (k + 1))
+            state, covariance = best.states[k], wider * best.covariance[own, own]
+            if self.places.shear is not None:
+                x, covariance = average_over_square(
+                    state.x, covariance, shear_sd=self.prior.shear_sd
+                )
+                state = replace(state, x=x)
+            states.append(state)
+            covariances.append(covariance)
+        return states, np.stack(covariances)
+
+    def _shear(self, state: ContactState, covariance: FloatArray, factor: float) -> dict[str, Any]:
+        """Return the force along the surface of a contact, as fields of ``LocatedContact``.
+
+        Parameters
+        ----------
+        covariance : (8, 8) float
+            Covariance of its unknowns.
+        factor : float
+            Corrected over raw force.
+        """
+        ratio, force = state.x[PLACED:], float(state.x[0])
+        slope = np.zeros((UNKNOWNS, 2))
+        slope[0], slope[PLACED], slope[PLACED + 1] = ratio, (force, 0.0), (0.0, force)
+        axes = self.places.axes[state.place]
+        variance = axes.T @ (slope.T @ covariance @ slope) @ axes
+        known = max(float(np.linalg.eigvalsh(covariance[PLACED:, PLACED:])[0]), 0.0)
+        return {
+            "shear_N": factor * force * (ratio @ axes),
+            "shear_sd_N": SHEAR_SPREAD * factor * np.sqrt(np.maximum(variance.diagonal(), 0.0)),
+            "shear_share": SHEAR_SPREAD * np.sqrt(known) / self.prior.shear_sd,
+        }
 
     def _covered(
         self, points_mm: FloatArray, radius_mm: FloatArray, markers: IntArray

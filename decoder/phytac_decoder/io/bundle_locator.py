@@ -17,7 +17,7 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
-PREFIX, PAIR, WALL, RATIO = "places.", "pair_", "wall_", "noise_ratio"
+PREFIX, PAIR, WALL, RATIO, SHEAR = "places.", "pair_", "wall_", "noise_ratio", "shear_"
 PREDICTED = "noise_predicted_"
 FRAME, PLACES_MIN = ("point_mm", "along", "around"), 4
 SHAPES: dict[str, tuple[int | str, ...]] = {
@@ -32,6 +32,8 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     RATIO: ("2n",),
     PREDICTED + "still_px": ("2n",),
     PREDICTED + "moved_px": ("2n",),
+    **dict.fromkeys((SHEAR + name for name in FRAME), ("sheared", 3)),
+    SHEAR + "shift_px": ("sheared", 2, "2n"),
     "weight": ("contacts",),
     "centre": ("contacts", 5),
 }
@@ -74,6 +76,8 @@ def locator_arrays(locator: ContactLocator) -> dict[str, Any]:
 def response_arrays(places: ResponseTable) -> dict[str, Any]:
     """Return the arrays of a response table, its interactions and its flat walls, by name."""
     arrays = _grid_arrays(places, "", "shift_px")
+    if places.shear is not None:
+        arrays |= _grid_arrays(places.shear, SHEAR, "shift_px")
     if places.pairs is not None:
         arrays |= _grid_arrays(places.pairs.grid, PAIR, "coordinates")
         arrays[PAIR + "axes_px"] = places.pairs.axes_px
@@ -121,7 +125,9 @@ def response_from_arrays(
             slopes=arrays[WALL + "slopes"],
             most=float(arrays[WALL + "most"][0]),
         )
-    return grid("", "shift_px", pairs=pairs, walls=walls)
+    # Up to schema 1.13 there was no force along the surface.
+    shear = grid(SHEAR, "shift_px") if SHEAR + "shift_px" in arrays else None
+    return grid("", "shift_px", pairs=pairs, walls=walls, shear=shear)
 
 
 def locator_from(
@@ -181,6 +187,8 @@ def locator_from(
             moments_sd_mm2=tuple(numbers(prior["moments_sd_mm2"], 3, positive=True).tolist()),
             # Up to schema 1.13 any force was as likely.
             force_N=number(prior.get("force_N", ContactPrior.force_N), positive=True),
+            # Up to schema 1.13 there was none.
+            shear_sd=number(prior.get("shear_sd", ContactPrior.shear_sd), positive=True),
         ),
         noise=ShiftNoise(
             centroid_px=number(noise["centroid_px"], positive=True),
@@ -204,13 +212,14 @@ def _predicted(own: Mapping[str, Any]) -> PredictedNoise | None:
 
 def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) -> None:
     where = f"{folder}/bundle.safetensors"
-    parts = (PAIR, WALL, RATIO, PREDICTED)
+    parts = (PAIR, WALL, RATIO, PREDICTED, SHEAR)
     absent = [part for part in parts if not any(n.startswith(part) for n in own)]
     absent += () if fitted else ("weight", "centre")
     shapes = {name: shape for name, shape in SHAPES.items() if not name.startswith(tuple(absent))}
     sizes = {"2n": columns}
     kinds = dict.fromkeys(
-        ("shift_px", PAIR + "coordinates", PAIR + "axes_px", WALL + "slopes"), np.float32
+        ("shift_px", SHEAR + "shift_px", PAIR + "coordinates", PAIR + "axes_px", WALL + "slopes"),
+        np.float32,
     ) | {WALL + "number": np.int64}
     check_arrays(own, shapes, sizes, where=where, kinds=kinds, prefix=PREFIX)
     if sizes["places"] < PLACES_MIN:

@@ -12,6 +12,7 @@ of its second moments to the disc's, ::
     d = S(x, y) + ½·(m_xx ∂²S/∂x² + 2·m_xy ∂²S/∂x∂y + m_yy ∂²S/∂y²)
 
 so that one table serves discs, spheres and edges of any size and orientation (derived here).
+A force along the surface adds shifts in proportion to its components along and around.
 """
 
 from collections.abc import Sequence
@@ -59,6 +60,8 @@ class ResponseTable:
         Interactions of simultaneous contacts.
     walls : BergerWall, optional
         Flat walls.
+    shear : ResponseTable, optional
+        Over fewer places: px per N of force along the surface, (q, 2, 2n), along and around.
     """
 
     point_mm: FloatArray
@@ -69,6 +72,7 @@ class ResponseTable:
     top_N: float = np.inf
     pairs: "InteractionTable | None" = None
     walls: "BergerWall | None" = None
+    shear: "ResponseTable | None" = None
 
     @property
     def orders(self) -> int:
@@ -92,19 +96,22 @@ class ResponseTable:
         pairs = self.pairs.scaled(stiffness) if self.pairs else None
         walls = self.walls.scaled(stiffness) if self.walls else None
         top_N = stiffness * self.top_N
-        return self._like(replace(self, shift_px=rows, pairs=pairs, walls=walls, top_N=top_N))
+        shear = self.shear
+        if shear:
+            shear = shear.with_rows(shear.shift_px / np.float32(stiffness))
+        return self.with_rows(rows, pairs=pairs, walls=walls, top_N=top_N, shear=shear)
 
-    def with_rows(
-        self, shift_px: NDArray[np.float32], pairs: "InteractionTable | None"
-    ) -> "ResponseTable":
-        """Return other tables over the same places."""
-        return self._like(replace(self, shift_px=shift_px, pairs=pairs))
+    def with_rows(self, shift_px: NDArray[np.float32], **others: Any) -> "ResponseTable":
+        """Return other tables over the same places; ``others`` are attributes by name."""
+        return self._like(replace(self, shift_px=shift_px, **others))
 
     def _like(self, out: "ResponseTable") -> "ResponseTable":
         # These depend on the places alone, and computing them takes a third of a second.
         for known in ("fits", "flat"):
             if known in self.__dict__:
                 out.__dict__[known] = self.__dict__[known]
+        if out.shear is self.shear and "shear_px" in self.__dict__:
+            out.__dict__["shear_px"] = self.__dict__["shear_px"]
         return out
 
     def nearest(self, point_mm: FloatArray) -> IntArray:
@@ -191,6 +198,18 @@ class ResponseTable:
         powers = np.stack([np.ones_like(x), x, y, xx, xy, yy, *cubic], axis=1)
         return place, np.einsum("mt,mtq->mq", powers, self.fits[1][place])
 
+    def shear_at(self, points_mm: FloatArray) -> FloatArray:
+        """Return shifts (m, 2, 2n) per N of force along the surface at points (m, 3).
+
+        Along and around in the axes of the place nearest to each.
+        """
+        out = np.zeros((len(points_mm), 2, self.shift_px.shape[2]))
+        for k, place in enumerate(self.nearest(points_mm).tolist()):
+            x, y = self.tangent_coordinates([place], points_mm[k : k + 1])[0]
+            powers = [x**a * y**b / (factorial(a) * factorial(b)) for a, b in TERMS]
+            out[k] = np.tensordot(powers, self.shear_cubic(place), axes=1)
+        return out
+
     def normals(self, points_mm: FloatArray) -> FloatArray:
         """Return outward unit normals (m, 3) at points (m, 3) of the outer face."""
         place, counts = self.shares(points_mm)
@@ -203,6 +222,55 @@ class ResponseTable:
         near, weights = self.fits
         rows = self.shift_px[near[place]].reshape(near.shape[1], -1)
         return (weights[place] @ rows).reshape(len(TERMS), *self.shift_px.shape[1:])
+
+    def shear_cubic(self, place: int) -> Any:
+        """Return the same (10, 2, 2n) of shifts by force along the surface, in the place's axes."""
+        if self.shear is None:
+            return np.zeros((len(TERMS), 2, self.shift_px.shape[2]), dtype=np.float32)
+        near, weights = self.fits
+        own = near[place]
+        turn = axes_turn(self.axes[place], self.axes[own]).astype(np.float32)
+        # (t, q) with (q, i, j) to (t, i, q j), and then with rows (q j, 2n).
+        each = np.einsum("tq,qij->tiqj", weights[place], turn).reshape(2 * len(TERMS), -1)
+        rows = each @ self.shear_px[own].reshape(each.shape[1], -1)
+        return rows.reshape(len(TERMS), 2, -1)
+
+    @cached_property
+    def axes(self) -> FloatArray:
+        """Unit tangents along and around (p, 2, 3) of each place."""
+        return np.stack([self.along, self.around], axis=1)
+
+    @cached_property
+    def shear_px(self) -> NDArray[np.float32]:
+        """Shifts (p, 2, 2n) per N of force along the surface at each place."""
+        shear = self.shear
+        if shear is None:
+            return np.zeros((len(self.point_mm), 2, self.shift_px.shape[2]), dtype=np.float32)
+        out = np.empty((len(self.point_mm), 2, self.shift_px.shape[2]), dtype=np.float32)
+        for k in range(0, len(out), 256):  # bounds the memory
+            own = slice(k, k + 256)
+            place, weights = shear.shares(self.point_mm[own])
+            near = shear.fits[0][place]
+            turn = axes_turn(self.axes[own, None], shear.axes[near])
+            each = np.einsum("pq,pqij->piqj", weights, turn).astype(np.float32)
+            rows = shear.shift_px[near].reshape(len(near), -1, out.shape[2])
+            out[own] = each.reshape(len(near), 2, -1) @ rows
+        return out
+
+
+def axes_turn(ours: FloatArray, theirs: FloatArray) -> FloatArray:
+    """Return the rotations (…, 2, 2) of components in one place's axes to those in another's.
+
+    Of two unit tangents each, (…, 2, 3); their normals are first turned onto ours by the shortest
+    way. Axes turn quickly around a pole.
+    """
+    turn = np.einsum("...ik,...jk->...ij", ours, theirs)
+    # The rotation nearest to the projection: its polar factor, in two dimensions.
+    cosine, sine = turn[..., 0, 0] + turn[..., 1, 1], turn[..., 1, 0] - turn[..., 0, 1]
+    size = np.maximum(np.hypot(cosine, sine), 1e-12)
+    cosine, sine = cosine / size, sine / size
+    out = np.stack([cosine, -sine, sine, cosine], axis=-1)
+    return out.reshape(*out.shape[:-1], 2, 2)
 
 
 def _balanced(xy: FloatArray, far: BoolArray) -> IntArray:

@@ -165,7 +165,10 @@ def _locator(locator: ContactLocator, order: IntArray, turn: FloatArray) -> Cont
     if pairs is not None:
         grid = _places(pairs.grid, turn)
         pairs = replace(pairs, grid=grid, axes_px=_pairs(pairs.axes_px, order))
-    places = replace(places, shift_px=_pairs(places.shift_px, order), pairs=pairs)
+    shear = places.shear
+    if shear is not None:
+        shear = replace(_places(shear, turn), shift_px=_pairs(shear.shift_px, order))
+    places = replace(places, shift_px=_pairs(places.shift_px, order), pairs=pairs, shear=shear)
     if noise.ratio is not None:
         noise = replace(noise, ratio=_pairs(noise.ratio, order))
     if noise.predicted:

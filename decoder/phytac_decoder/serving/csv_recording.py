@@ -12,7 +12,8 @@ from phytac_shapes.errors import OutputError
 
 COLUMNS = (
     "sequence", "timestamp_s", "valid", "contacts", "contact", "force_N", "x_mm", "y_mm", "z_mm",
-    "markers", "id", "size_mm", "since_s", "region", "sd_N",
+    "markers", "id", "size_mm", "since_s", "region", "sd_N", "shear_x_N", "shear_y_N", "shear_z_N",
+    "shear_sd_x_N", "shear_sd_y_N", "shear_sd_z_N",
 )  # fmt: skip
 
 
@@ -101,6 +102,8 @@ class Recorder(_CsvWriter):
                 contact["since_s"],
                 contact.get("region", ""),
                 contact.get("sd_N", ""),
+                *contact.get("shear_N", [""] * 3),
+                *contact.get("shear_sd_N", [""] * 3),
             )
             for number, contact in enumerate(contacts)
         ]

@@ -91,7 +91,7 @@ class MessageBuilder:
         out: Message = {
             "type": "hello",
             "format": "phytac-stream",
-            "version": "1.4",
+            "version": "1.5",
             "design": bundle.design,
             "design_hash": bundle.design_hash,
             "estimator": self.estimator,
@@ -184,6 +184,8 @@ class MessageBuilder:
         if self.outward is not None:
             # Pressing acts along the inward normal.
             net = -(force_N @ self.outward[markers])
+            if reading.found is not None:
+                net += sum(one.shear_N for one in reading.found.contacts if one.shear_observed)
             out["net_force_N"] = [_rounded(part, 4) for part in net]
         if self.regions:
             sums = self.region_forces.of(markers, force_N)
@@ -218,6 +220,9 @@ class MessageBuilder:
         }
         if contact.sd_N is not None:
             out["sd_N"] = _rounded(contact.sd_N, 4)
+        if contact.shear_N is not None and contact.shear_sd_N is not None:
+            out["shear_N"] = [_rounded(part, 4) for part in contact.shear_N]
+            out["shear_sd_N"] = [_rounded(part, 4) for part in contact.shear_sd_N]
         if self.regions:
             markers = list(contact.markers)
             if not markers:
@@ -229,18 +234,23 @@ class MessageBuilder:
 
 def _is_sound(located: LocatedContact) -> bool:
     others = [located.sd_N, located.radius_mm, *located.point_mm]
+    if located.shear_observed:
+        others += [*located.shear_N, *located.shear_sd_N]
     limit_N = MessageBuilder.force_limit_N
     return abs(located.force_N) <= limit_N and bool(np.isfinite(others).all())
 
 
 def _as_found(located: LocatedContact) -> Contact:
     x, y, z = located.point_mm.tolist()
+    seen = located.shear_observed
     return Contact(
         markers=tuple(sorted(located.markers.tolist())),
         force_N=located.force_N,
         position_mm=(x, y, z),
         size_mm=2.0 * located.radius_mm,
         sd_N=located.sd_N,
+        shear_N=tuple(located.shear_N.tolist()) if seen else None,
+        shear_sd_N=tuple(located.shear_sd_N.tolist()) if seen else None,
     )
 
 

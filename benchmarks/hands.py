@@ -1,0 +1,162 @@
+"""The decoder under friction: hands never press without it.
+
+Contacts of the scenario ``platform`` on virtual prints, with and without friction, are read by
+decoders that learnt from either. The same decoder without tables of force along the surface is
+beside it. ::
+
+    python -m benchmarks.hands [--parts friction] [--quick]
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from benchmarks.decoder_data import DataSetSpec, job_of, random_subset, small_design
+from benchmarks.decoder_evaluation import Evaluation, by_design, evaluate_decoder, mechanics
+from benchmarks.harness import Table, run_parts
+from phytac_decoder.io.bundle import Bundle
+from phytac_design.design.accuracy import Preset
+from phytac_design.design.design_file import load_design
+from phytac_design.training.locator_calibration import calibrate_locator
+from phytac_design.training.training_data import DataSet
+from phytac_shapes.arrays import BoolArray, FloatArray
+
+LEARNT = 200
+FRICTION = {"friction 0 to 0.8": 0.8, "no friction": 0.0}
+"""Largest tangential over normal force of the data sets, by name."""
+GHOST_N = 1.0
+"""A contact where nothing presses counts from this force on."""
+NEAR_MM = 5.0
+"""Largest distance of a located contact from the pressed one that it is compared with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sheared:
+    """Force along the surface of located contacts, along u and square to it, N.
+
+    Attributes
+    ----------
+    error_N : (c, 2) float
+        Located minus true force.
+    truth_N : (c, 2) float
+        True force.
+    inside : (c, 3) bool
+        Whether each component in the sensor's axes is within its 90 % interval.
+    """
+
+    error_N: FloatArray
+    truth_N: FloatArray
+    inside: BoolArray
+
+
+def learnt(plain: Bundle, data: DataSet, *, shear: bool) -> Bundle:
+    """Decoder that learnt from data, with or without tables of force along the surface."""
+    locator = plain.model.locator
+    assert locator is not None
+    if not shear:
+        locator = replace(locator, places=replace(locator.places, shear=None))
+    rows = np.arange(data.samples.count)
+    fitted, _ = calibrate_locator(locator, data.samples, rows, force_max_N=plain.force_max_N)
+    return replace(plain, model=replace(plain.model, locator=fitted))
+
+
+def sheared(judged: Evaluation) -> Sheared:
+    """Compare the force along the surface with the truth, where the markers determine it."""
+    samples, context = judged.data.samples, judged.context
+    touches = samples.touches
+    assert touches is not None
+    tangents = context.surface.tangents(touches.uv)[:, 0]
+    along = tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
+    axes = np.stack([along, np.cross(context.surface.normal(touches.uv), along)], axis=1)
+    true_N = np.einsum("ci,cij->cj", touches.friction, axes) * touches.force_N[:, None]
+    error, truth, inside = [], [], []
+    for sample, found in enumerate(judged.found):
+        rows = np.flatnonzero(touches.sample == sample)
+        for contact in found.contacts if found else []:
+            gap = np.linalg.norm(touches.point_mm[rows] - contact.point_mm, axis=1)
+            if not contact.shear_observed or gap.min(initial=np.inf) > NEAR_MM:
+                continue
+            row = rows[gap.argmin()]
+            off = contact.shear_N - true_N[row]
+            error.append(axes[row] @ off)
+            truth.append(axes[row] @ true_N[row])
+            inside.append(np.abs(off) <= 1.645 * contact.shear_sd_N)
+    return Sheared(error_N=np.array(error), truth_N=np.array(truth), inside=np.array(inside))
+
+
+def add_friction(table: Table, *, quick: bool) -> None:
+    """Rows of decoders that learnt with and without friction, on both."""
+    accuracy: Preset = "draft" if quick else "standard"
+    design = small_design() if quick else load_design("cylinder60")
+    count, train = (60, 30) if quick else (500, LEARNT)
+    solve: dict[str, object] = {"displacement": "linear"} if quick else {}
+    sets: dict[str, tuple[DataSet, DataSet]] = {}
+    for name, most in FRICTION.items():
+        touch: dict[str, object] = {"friction_max": most}
+        job = job_of(design, unit=1, samples=count, accuracy=accuracy, touch=touch, solve=solve)
+        folder = f"hands-{design.name}-{most:g}"
+        sets[name] = DataSetSpec(name=folder, job=job, train=train).parts()
+    context = mechanics(design, accuracy)
+    plain = by_design(context)
+    for source, (training, _) in sets.items():
+        for shear in (True, False):
+            bundle = learnt(plain, random_subset(training, train, seed=0), shear=shear)
+            for target, (_, held_out) in sets.items():
+                judged = evaluate_decoder(context, bundle.model, held_out, estimators=["auto"])
+                what = "" if shear else ", force along the surface taken as 0"
+                head = f"{design.name} unit 1, points{what}: learnt with {source}"
+                _add_rows(table, f"{head}, read with {target}", judged, targets=shear)
+
+
+def _add_rows(table: Table, head: str, judged: Evaluation, *, targets: bool) -> None:
+    """Errors, intervals and ghosts of one decoder on one data set."""
+    middle, decoded = judged.group("height", "middle"), judged.decoded
+    error = (decoded.decoded_N["auto"] - decoded.force_N)[middle]
+    share, claims = error / decoded.force_N[middle], judged.claims
+    ghosts = claims.nothing_N[claims.nothing_N > GHOST_N]
+    frames = judged.data.samples.count
+    mean = 100.0 * float(np.abs(share).mean())
+    least = 100.0 * judged.least_relative(middle)[0]
+
+    def add(case: str, value: float, unit: str, target: str, note: str = "") -> None:
+        case = f"{head}: {case}"
+        table.add(case, value, unit, "", "project target", target if targets else None, note)
+
+    add(
+        f"middle heights ({int(middle.sum())} contacts), mean relative error",
+        mean,
+        "%",
+        "<= 1.5",
+        f"{float(np.abs(error).mean()):.3g} N; the bound with this force unknown allows "
+        f"{least:.2g} %",
+    )
+    add("middle heights, mean of error over force", 100.0 * abs(float(share.mean())), "%", "<= 0.3")
+    add("share within 90 % intervals", 100.0 * claims.covered, "%", ">= 85")
+    add(
+        f"contacts over {GHOST_N:g} N where nothing presses, in {frames} frames",
+        len(ghosts),
+        "",
+        "== 0",
+        f"{ghosts.sum():.3g} N in sum",
+    )
+    if not targets:
+        return
+    found = sheared(judged)
+    for axis, name in enumerate(("along", "around")):
+        rms = np.sqrt(np.mean(found.error_N[:, axis] ** 2))
+        true = np.sqrt(np.mean(found.truth_N[:, axis] ** 2))
+        note = f"of {true:.3g} N RMS; {len(found.error_N)} contacts"
+        table.add(f"{head}: shear {name}, RMS error", float(rms), "N", "", "project", None, note)
+    inside = 100.0 * float(found.inside.mean())
+    add("shear, share within 90 % intervals", inside, "%", ">= 85")
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Parts of this benchmark."""
+    return {"friction": partial(add_friction, quick=quick)}
+
+
+if __name__ == "__main__":
+    run_parts("hands", parts, __doc__ or "")
