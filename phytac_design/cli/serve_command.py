@@ -49,6 +49,13 @@ MountOption = Annotated[
         "estimated within that."
     ),
 ]
+DriftOption = Annotated[
+    bool,
+    typer.Option(
+        help="While nothing is pressed, follow slow motion of the camera, with a time constant of "
+        "a minute."
+    ),
+]
 RestFirstOption = Annotated[
     int,
     typer.Option(help="So many frames at the beginning show the unloaded sensor.", min=0, max=1000),
@@ -108,6 +115,7 @@ def serve(
     rest: RestOption = None,
     rest_first: RestFirstOption = 0,
     mount: MountOption = "bench",
+    drift: DriftOption = True,
     follow: FollowOption = False,
     serial: Annotated[
         Path | None, typer.Option(help="Serial port to send JSON lines to as well.")
@@ -148,6 +156,7 @@ def serve(
             regions=regions,
             design=design,
             mount=mount,
+            drift=drift,
             control=control,
             report=report,
             fps=fps,
@@ -267,6 +276,7 @@ def open_session(
     regions: Path | None,
     design: str | None,
     mount: "Mount" = "bench",
+    drift: bool = False,
     control: list[str] | None = None,
     **options: Any,
 ) -> Session:
@@ -278,7 +288,7 @@ def open_session(
     ----------
     stack : ExitStack
         Closes the source.
-    folder, source, estimator, rest, rest_first, follow, regions, design, mount, control
+    folder, source, estimator, rest, rest_first, follow, regions, design, mount, drift, control
         Of the command line.
     **options
         See :func:`phytac_decoder.io.frame_sources.open_source`.
@@ -294,6 +304,7 @@ def open_session(
     from phytac_decoder.io.frame_sources import open_source
     from phytac_decoder.io.recorded_frames import read_image
     from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+    from phytac_decoder.pipeline.drift import DriftReference
     from phytac_decoder.pipeline.rest_frames import take_rest_frames
     from phytac_decoder.serving.exposure_monitor import with_exposure_check
     from phytac_decoder.serving.sensor_loop import check_estimator, follow_decoder, frame_decoder
@@ -329,10 +340,11 @@ def open_session(
             stack.callback(begun.close)
         unloaded = take_rest_frames(bundle, begun, rest_first)
     calibrated = calibrate_rest(bundle, unloaded) if unloaded else bundle
+    reference = DriftReference(calibrated) if drift else None
     if follow:
-        decode = follow_decoder(calibrated, unloaded, estimator=chosen)
+        decode = follow_decoder(calibrated, unloaded, estimator=chosen, drift=reference)
     else:
-        decode = frame_decoder(calibrated, estimator=chosen)
+        decode = frame_decoder(calibrated, estimator=chosen, drift=reference)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     checked = with_exposure_check(with_torn_frame_check(decode))
     frames.restart()

@@ -11,6 +11,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.io.imu import Imu
 from phytac_decoder.pipeline.decode import measure_frame
+from phytac_decoder.pipeline.drift import DriftReference
 from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
@@ -23,7 +24,11 @@ Decode = Callable[[Frame], Reading]
 
 
 def frame_decoder(
-    bundle: Bundle, *, estimator: str = "koi_inverse", rest_px: FloatArray | None = None
+    bundle: Bundle,
+    *,
+    estimator: str = "koi_inverse",
+    rest_px: FloatArray | None = None,
+    drift: DriftReference | None = None,
 ) -> Decode:
     """Decode each frame by itself.
 
@@ -35,6 +40,8 @@ def frame_decoder(
         One of :data:`phytac_decoder.estimation.estimators.ESTIMATORS`.
     rest_px : (n, 2) float, optional
         From :func:`phytac_decoder.pipeline.decode.rest_positions`.
+    drift : DriftReference, optional
+        Of this bundle: frames are decoded relative to the slow motion of its cameras.
 
     Raises
     ------
@@ -45,13 +52,20 @@ def frame_decoder(
 
     def decode(frame: Frame) -> Reading:
         measured = measure_frame(bundle, frame.images, rest_px=rest_px)
+        if drift:
+            return drift.read(measured, estimator, frame.timestamp_s)
         return read(bundle, measured, estimator)
 
     return decode
 
 
 def follow_decoder(
-    bundle: Bundle, rest: Sequence[ImageArray], *, estimator: str = "koi_inverse", stride: int = 1
+    bundle: Bundle,
+    rest: Sequence[ImageArray],
+    *,
+    estimator: str = "koi_inverse",
+    stride: int = 1,
+    drift: DriftReference | None = None,
 ) -> Decode:
     """Decode frames in their order, markers followed from each to the next: much faster.
 
@@ -67,6 +81,8 @@ def follow_decoder(
         One of :data:`phytac_decoder.estimation.estimators.ESTIMATORS`.
     stride : int
         See :class:`phytac_decoder.pipeline.tracker.Follower`.
+    drift : DriftReference, optional
+        See :func:`frame_decoder`.
 
     Raises
     ------
@@ -81,7 +97,10 @@ def follow_decoder(
         nonlocal last, before
         elapsed, last = max(frame.number - last, 1), frame.number
         seen = follower.follow(frame.images, elapsed=float(elapsed))
-        before = read(bundle, seen, estimator, before=before)
+        if drift:
+            before = drift.read(seen, estimator, frame.timestamp_s, before=before)
+        else:
+            before = read(bundle, seen, estimator, before=before)
         return replace(before, warnings=[*before.warnings, *seen.flags])
 
     return decode
