@@ -81,7 +81,7 @@ def smoothest_shifts(
     number = np.full(shift.shape, -1)
     for paint in np.unique(colour):
         ids, blobs = np.flatnonzero(colour == paint), np.flatnonzero(blob_colour == paint)
-        near = blobs[np.argsort(np.abs(blob[blobs] - expected[ids, None]), axis=1)[:, :none].T]
+        near = blobs[_nearest_columns(blob[blobs] - expected[ids, None], none).T]
         number[: len(near), ids], shift[: len(near), ids] = near, blob[near] - rest[ids]
     own_cost = SETTINGS.prior * np.abs((shift - (expected - rest)) / spacing_px) ** 2
     own_cost = np.where(np.isfinite(own_cost), own_cost, 1e3).astype(np.float32)
@@ -102,6 +102,16 @@ def smoothest_shifts(
     out = shift[chosen, each]
     # The entry for "none" is NaN.
     return np.column_stack([out.real, out.imag])
+
+
+def _nearest_columns(gap: NDArray[np.complex128], count: int) -> IntArray:
+    """Columns (n, k) of the ``count`` smallest gaps (n, m) in each row, smallest first."""
+    square = gap.real**2 + gap.imag**2
+    if square.shape[1] <= count:
+        return np.argsort(square, axis=1)
+    few = np.argpartition(square, count, axis=1)[:, :count]
+    order = np.argsort(np.take_along_axis(square, few, axis=1), axis=1)
+    return np.asarray(np.take_along_axis(few, order, axis=1))
 
 
 def directed_edges(neighbours: IntArray) -> tuple[IntArray, IntArray, IntArray]:

@@ -30,11 +30,23 @@ class Matched:
 
 def nearest_same_colour_px(rest_px: FloatArray, colour: IntArray) -> FloatArray:
     """Distance (n,) of each marker to the nearest other marker of its own colour, px."""
-    x, y = rest_px.T
-    distance = np.hypot(x[:, None] - x, y[:, None] - y)
-    distance[colour[:, None] != colour[None]] = np.inf
-    np.fill_diagonal(distance, np.inf)
-    return np.asarray(distance.min(axis=1))
+    out = np.full(len(rest_px), np.inf)
+    for paint in np.unique(colour):
+        ids = np.flatnonzero(colour == paint)
+        square = squared_distances(rest_px[ids], rest_px[ids])
+        np.fill_diagonal(square, np.inf)
+        out[ids] = np.sqrt(square.min(axis=1))
+    return out
+
+
+def squared_distances(a_px: FloatArray, b_px: FloatArray) -> FloatArray:
+    """Squares (m, n) of the distances of points (m, 2) from points (n, 2)."""
+    out = np.subtract.outer(a_px[:, 0], b_px[:, 0])
+    out *= out
+    down = np.subtract.outer(a_px[:, 1], b_px[:, 1])
+    down *= down
+    out += down
+    return np.asarray(out)
 
 
 def neighbour_median(values: FloatArray, neighbours: IntArray) -> FloatArray:
@@ -133,10 +145,9 @@ def _owners(blobs: Blobs, medoid: FloatArray, colour: IntArray, gate: FloatArray
         pick = np.flatnonzero(blobs.colour == paint)
         if len(pick) == 0:
             continue
-        (x, y), (at_x, at_y) = blobs.centroid_px[pick].T, medoid[ids].T
-        distance = np.hypot(x[:, None] - at_x, y[:, None] - at_y)
-        nearest = np.argmin(distance, axis=1)
-        near = distance[np.arange(len(pick)), nearest] <= gate[ids[nearest]]
+        square = squared_distances(blobs.centroid_px[pick], medoid[ids])
+        nearest = np.argmin(square, axis=1)
+        near = square[np.arange(len(pick)), nearest] <= gate[ids[nearest]] ** 2
         owner[pick[near]] = ids[nearest[near]]
     return owner
 
