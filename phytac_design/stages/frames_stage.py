@@ -82,10 +82,10 @@ def draw_frame_contacts(context: Context) -> FrameContacts:
     if context.accuracy.place_orders == 1:
         return pressed
     example = contacts.of(pressed.example)
-    return replace(pressed, shown=_large(context, mesh, model, example))
+    return replace(pressed, shown=large_motion(context, mesh, model, example))
 
 
-def _large(
+def large_motion(
     context: Context, mesh: ShellMesh, model: ShellModel, contacts: Contacts
 ) -> FloatArray | None:
     """Motion (n, 6) under the contacts of one sample by large displacements; None without one."""

@@ -136,6 +136,18 @@ def test_a_switch_that_is_about_to_let_go_is_not_stuck() -> None:
         assert held.switches_without_force(held.forces_on(np.arange(COUNT))).tolist() == weak
 
 
+def test_a_force_that_markers_hardly_show_is_no_stuck_switch() -> None:
+    """Beside a rim markers show 1.7 N as 0 ± 1.5 N."""
+    for share, weak in ((1.0, [30]), (0.05, [])):
+        faint = BUNDLE.model.compliance_px.copy()
+        faint[:, 30] *= share
+        bundle = replace(BUNDLE, model=replace(BUNDLE.model, compliance_px=faint))
+        held = FaultDetector(bundle, motion({}), np.array([30]))
+        assert held.switches_without_force(np.eye(COUNT)[30] * 1.67).tolist() == weak
+        # Where the estimator gives it no force either, it is reported.
+        assert held.switches_without_force(np.zeros(COUNT)).tolist() == [30]
+
+
 def test_a_strong_group_is_not_asked_about() -> None:
     """It is solved for with its neighbours only where its force is small."""
     for force, asked in ((6.0, False), (1.0, True)):

@@ -40,6 +40,9 @@ class FaultSettings:
     this share of its predicted shift."""
     release_share: float = 0.7
     """Share of its threshold that a switch that is on carries at least: it releases below."""
+    force_sds: float = 2.0
+    """Standard deviations by which the markers around a switch must contradict an estimator that
+    gives it that force: beside a rim they show 1.7 N as 0 ± 1.5 N."""
     strong_thresholds: float = 10.0
     """A group of switches with so many times its threshold is trusted."""
     excused_max: int = 2
@@ -93,10 +96,22 @@ class FaultDetector:
 
     def forces_on(self, markers: IntArray) -> FloatArray:
         """Return forces (k,) N of any sign on ``markers`` (k,) that explain the motion best."""
+        return np.asarray(np.linalg.solve(self._damped(markers), self._right[markers]))
+
+    def _damped(self, markers: IntArray) -> FloatArray:
+        """Return the normal matrix (k, k) of forces on markers (k,)."""
         gram = self._gram[np.ix_(markers, markers)]
         own = gram.diagonal()
-        damped = gram + np.diag(SETTINGS.ridge * own + 1e-12 * own.max(initial=0.0) + 1e-300)
-        return np.asarray(np.linalg.solve(damped, self._right[markers]))
+        return np.asarray(
+            gram + np.diag(SETTINGS.ridge * own + 1e-12 * own.max(initial=0.0) + 1e-300)
+        )
+
+    def _sum_sd_N(self, markers: IntArray, count: int) -> float:
+        """Return the standard deviation of the sum of the first ``count`` of :meth:`forces_on`."""
+        first = np.arange(len(markers)) < count
+        weight = np.linalg.solve(self._damped(markers), first.astype(np.float64))
+        variance = weight @ self._gram[np.ix_(markers, markers)] @ weight
+        return self.bundle.model.noise_px * float(np.sqrt(variance))
 
     def switches_without_force(self, forces_N: FloatArray) -> IntArray:
         """Return switches (k,) that are on without force, by any estimator's forces (n,) N."""
@@ -110,6 +125,8 @@ class FaultDetector:
             rest = np.setdiff1d(self.around(others), self.around(group)) if len(others) else others
             both = np.concatenate([group, np.union1d(rest, others)])
             alone = float(self.forces_on(both)[: len(group)].sum())
+            if force >= release > alone:
+                alone += SETTINGS.force_sds * self._sum_sd_N(both, len(group))
             if min(force, alone) < release:
                 out.append(group)
         return np.concatenate(out)
