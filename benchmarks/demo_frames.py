@@ -1,0 +1,112 @@
+"""Share of contacts inside their 95 % intervals, in frames like the demo frame of the README.
+
+The demo frame of a build (``views/frame_pressed.png``) is the one of 50 that has the most switches
+on. Here frames with as many contacts are drawn with another seed, at random places with random
+forces and sizes, solved with large displacements as the demo is, rendered, and decoded as ``phytac
+decode`` does, with a rest frame. Judgement is that of :mod:`benchmarks.camera`. ::
+
+    python -m benchmarks.demo_frames [--design cylinder60] [--frames 300] [--cpu-minutes 15] [--dry]
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.camera import Bench, Outcome, decode
+from benchmarks.decoder_evaluation import by_design, mechanics
+from benchmarks.harness import Table
+from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
+from phytac_design.optics.pressed_scene import PressedScene
+from phytac_design.simulation.contacts import Contacts, draw_contacts, switch_states
+from phytac_design.stages.frames_stage import FrameContacts, draw_frame_contacts, large_motion
+from phytac_design.stages.response_stage import truth_model
+from phytac_shapes.arrays import FloatArray
+
+SEED = 101
+"""Of the contacts; a build's are drawn with its own seed, 0."""
+
+
+class DemoBench(Bench):
+    """A built decoder, and frames like its demo frame."""
+
+    def __init__(self, design: Design, frames: int) -> None:
+        self.context = mechanics(design, "standard")
+        self.bundle = by_design(self.context)
+        demo = draw_frame_contacts(replace(self.context, seed=0))
+        self.contacts_each = int(demo.contacts.counts[demo.example])
+        contacts = self._like(frames)
+        markers = self.context.markers.count
+        self.pressed = FrameContacts(
+            contacts=contacts,
+            switching=switch_states(self.context.sensor, contacts),
+            motion=np.zeros((contacts.samples, markers, 6)),
+        )
+        self.scenes = PressedScene(self.context.sensor, self.context.sensor.cameras[0])
+        self._truth = truth_model(self.context)
+
+    def _like(self, frames: int) -> Contacts:
+        """Draw samples of as many contacts as the demo has."""
+        rng = np.random.default_rng(SEED)
+        drawn = draw_contacts(self.context.sensor, samples=20 * frames, rng=rng)
+        samples = np.flatnonzero(drawn.counts == self.contacts_each)[:frames]
+        return drawn.pick(np.flatnonzero(np.isin(drawn.sample, samples)), samples)
+
+    def solve(self, index: int) -> bool:
+        """Solve the motion of one frame; return whether it converged."""
+        found: FloatArray | None = large_motion(
+            self.context, *self._truth, self.pressed.contacts.of(index)
+        )
+        if found is not None:
+            self.pressed.motion[index] = found
+        return found is not None
+
+
+def judge_frames(bench: DemoBench, cpu_minutes: float) -> tuple[Outcome, int]:
+    """Decode frames until the time has passed; also return how many did not converge."""
+    camera = bench.context.sensor.cameras[0]
+    bundle = calibrate_rest(bench.bundle, [bench.frame(None, camera)])
+    out, failed, begin = Outcome(), 0, time.process_time()
+    for index in range(bench.count):
+        if time.process_time() - begin > 60.0 * cpu_minutes:
+            break
+        if bench.solve(index):
+            bench.judge(out, index, decode(bundle, bench.frame(index, camera)))
+        else:
+            failed += 1
+    return out, failed
+
+
+def add_rows(table: Table, bench: DemoBench, out: Outcome, failed: int) -> None:
+    """Rows of one design."""
+    name = f"{bench.context.design.name}, {out.frames} demo-like frames"
+    note = f"{bench.contacts_each} contacts each, {failed} frames did not converge; {out}"
+    share = 100.0 * out.inside / max(out.contacts, 1)
+    table.goal(f"{name}: contacts inside 95 % intervals", share, "%", ">= 95", note=note)
+    table.goal(f"{name}: silently wrong contacts", out.silent, "", "== 0")
+    warned = 100.0 * out.warned / out.frames
+    source = "all contacts are sound, so that each warning is false or of a real ambiguity"
+    table.add(f"{name}: frames with a warning", warned, "%", 0.0, source)
+    table.add(f"{name}: contacts that turned a switch on and are not found", out.missed, "", 0.0,
+              "pressed contacts")  # fmt: skip
+
+
+def main() -> None:
+    """Decode the frames of one design."""
+    parser = argparse.ArgumentParser(description="Frames like the README's demo frame.")
+    parser.add_argument("--design", default="cylinder60")
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--cpu-minutes", type=float, default=15.0)
+    parser.add_argument("--dry", action="store_true", help="results are not written")
+    given = parser.parse_args()
+    bench, table = DemoBench(load_design(given.design), given.frames), Table("demo_frames")
+    add_rows(table, bench, *judge_frames(bench, given.cpu_minutes))
+    if not given.dry:
+        table.write()
+
+
+if __name__ == "__main__":
+    main()
