@@ -1,14 +1,17 @@
 """Cameras that misbehave, from the driver to the stream's messages."""
 
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from phytac_decoder.io import camera_device
 from phytac_decoder.io.camera_device import CameraDevice, CaptureSettings, parse_controls
 from phytac_decoder.io.frame_sources import first_frames, open_source
 from phytac_decoder.pipeline.rest_frames import take_rest_frames
@@ -140,6 +143,9 @@ def test_automatic_control_that_begins_late_is_waited_for(monkeypatch: pytest.Mo
 
     settings = CaptureSettings(warm_up_least_s=0.15)
     world = VirtualWorld(picture=late)
+    # A clock that counts pictures: a busy machine would skip those before the change.
+    clock = SimpleNamespace(monotonic=lambda: world.period_s * world.last.number, sleep=time.sleep)
+    monkeypatch.setattr(camera_device, "time", clock)
     opened(monkeypatch, world, settings=settings)
     # Frames 40 to 49 are the first ten that are steady, within 2 %; ten more follow the lock.
     assert world.last.number >= 55
