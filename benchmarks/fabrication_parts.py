@@ -39,7 +39,9 @@ def repairs(path: Path) -> int:
         "Degenerate facets", "Edges fixed", "Facets removed", "Facets added", "Facets reversed",
         "Backwards edges", "Normals fixed", "Total disconnected facets",
     )  # fmt: skip
-    report = subprocess.run(["admesh", str(path)], capture_output=True, text=True, check=True)
+    report = subprocess.run(
+        ["admesh", str(path)], capture_output=True, text=True, errors="replace", check=True
+    )
     lines = dict(line.split(":", 1) for line in report.stdout.splitlines() if ":" in line)
     counts = {key.strip(): value.split() for key, value in lines.items()}
     return sum(int(counts[row][0]) for row in faults)

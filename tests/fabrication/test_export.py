@@ -143,7 +143,11 @@ ADMESH_FAULTS = (
 
 
 def assert_admesh_finds_nothing(stl: Path) -> None:
-    report = subprocess.run(["admesh", str(stl)], capture_output=True, text=True, check=True).stdout
+    # It prints bytes after the file's header as text.
+    run = subprocess.run(
+        ["admesh", str(stl)], capture_output=True, text=True, errors="replace", check=True
+    )
+    report = run.stdout
     fields = {}
     for line in report.splitlines():
         label, _, rest = line.partition(":")

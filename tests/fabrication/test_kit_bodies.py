@@ -85,7 +85,9 @@ def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
     for piece in kit_of(name)[1].pieces:
         path = tmp_path / f"{piece.name}.stl"
         write_stl(stl_triangles(piece.body), path)
-        out = subprocess.run(["admesh", str(path)], capture_output=True, text=True, check=True)
+        out = subprocess.run(
+            ["admesh", str(path)], capture_output=True, text=True, errors="replace", check=True
+        )
         fields = dict(k.split(":", 1) for k in out.stdout.splitlines() if ":" in k)
         for row in ("Degenerate facets", "Edges fixed", "Facets removed", "Normals fixed"):
             found = [v for k, v in fields.items() if k.strip() == row]
