@@ -47,6 +47,6 @@ def test_rows_of_a_film(built: BuildResult) -> None:
         rows["small: auto, warm-started from the frame before: error of the sum of forces"][
             "value"
         ],
-        rel=1e-2,
+        rel=0.1,  # a tenth of its standard deviation
     )
     assert error["value"] < 0.3 * total
