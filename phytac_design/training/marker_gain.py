@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phytac_decoder.estimation.contact_fit import initial_state
-from phytac_decoder.estimation.contact_shifts import PLACED, centre_of, predicted_shifts
+from phytac_decoder.estimation.contact_shifts import SHEAR_START, centre_of, predicted_shifts
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.datasets.samples import FAILED, REAL, Samples
@@ -130,8 +130,8 @@ def predict_residuals(
             states.append(
                 initial_state(locator.places, locator.prior, touches.point_mm[row], force)
             )
-            states[-1].x[3:PLACED] = moments_mm2[row]
-            states[-1].x[PLACED:] = touches.friction[row]
+            states[-1].x[3:SHEAR_START] = moments_mm2[row]
+            states[-1].x[SHEAR_START:] = touches.friction[row]
         parts = predicted_shifts(locator.places, states)
         for state, (one, _) in zip(states, parts, strict=True):
             total += one
@@ -139,7 +139,7 @@ def predict_residuals(
             known.append((number, centre_of(locator.places, state), linear_N))
         # A rig that measures one axis leaves the force along the surface unknown.
         if samples.theory[sample] == REAL and not np.any(touches.friction[rows]):
-            slope = np.concatenate([slope[PLACED:] for _, slope in parts])
+            slope = np.concatenate([slope[SHEAR_START:] for _, slope in parts])
             total += _sheared_px(locator, total, slope, shift[sample].reshape(-1), bits[sample])
         predicted[number] = total.reshape(-1, 2)
         residual[number] = shift[sample] - predicted[number]

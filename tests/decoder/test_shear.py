@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation import square_press
+from phytac_decoder.estimation import friction_prior
 from phytac_decoder.estimation.contact_fit import initial_state
 from phytac_decoder.estimation.contact_shifts import predicted_shifts
+from phytac_decoder.estimation.friction_prior import average_over_friction
 from phytac_decoder.estimation.locator import ContactLocator
-from phytac_decoder.estimation.square_press import average_over_square
 from phytac_decoder.mechanics.response_table import ResponseTable, axes_turn
 from phytac_design.datasets.samples import REAL
 from phytac_design.training.marker_gain import predict_residuals
@@ -28,6 +28,7 @@ from tests.decoder.flat_sensor import (
     nearest,
     shifts,
 )
+from tests.decoder.toy_sensor import toy_bundle
 
 ONE, TWO = np.array([23.1, 31.4, 0.0]), np.array([44.2, 20.3, 0.0])
 
@@ -129,33 +130,35 @@ def test_a_stiffer_sensor_is_dragged_less() -> None:
     np.testing.assert_allclose(places.scaled(2.0).shear_px, places.shear_px / 2.0, atol=1e-7)
 
 
+def posterior(
+    slope: FloatArray, seen: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Mean, covariance and log evidence of a linear measurement with noise of 1."""
+    whole = slope @ spread @ slope.T + np.eye(len(seen))
+    gain = np.linalg.solve(whole, slope @ spread).T
+    evidence = -0.5 * (seen @ np.linalg.solve(whole, seen)) - 0.5 * np.linalg.slogdet(whole)[1]
+    return gain @ seen, spread - gain @ slope @ spread, float(evidence)
+
+
 def test_the_average_over_both_cases_is_that_of_bayes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a linear measurement with normal noise, whose two posteriors are known in closed form."""
-    monkeypatch.setattr(square_press, "SHEAR_SPREAD", 1.0)
+    monkeypatch.setattr(friction_prior, "SHEAR_SPREAD", 1.0)
     rng = np.random.default_rng(3)
     slope, prior_sd = rng.normal(size=(20, 8)), 0.4
     prior = np.diag([10.0] * 6 + [prior_sd] * 2) ** 2
     for ratio in (0.0, 0.15, 0.3):
         truth = np.concatenate([rng.normal(size=6), [ratio, -ratio]])
         seen = slope @ truth + rng.normal(size=20)
-
-        def posterior(spread: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-            whole = slope @ spread @ slope.T + np.eye(20)
-            gain = np.linalg.solve(whole, slope @ spread).T
-            evidence = -0.5 * (seen @ np.linalg.solve(whole, seen))  # noqa: B023
-            evidence -= 0.5 * np.linalg.slogdet(whole)[1]
-            return gain @ seen, spread - gain @ slope @ spread, float(evidence)  # noqa: B023
-
         square = prior.copy()
         square[6:] = 0.0
-        one, two = posterior(prior), posterior(square)
+        one, two = (posterior(slope, seen, spread) for spread in (prior, square))
         odds = np.exp(two[2] - one[2])
         share = odds / (1.0 + odds)
         mean = (1.0 - share) * one[0] + share * two[0]
         gap = one[0] - two[0]
         spread = (1.0 - share) * one[1] + share * two[1]
         spread += share * (1.0 - share) * np.outer(gap, gap)
-        got = average_over_square(one[0], one[1], shear_sd=prior_sd)
+        got = average_over_friction(one[0], one[1], shear_sd=prior_sd)
         np.testing.assert_allclose(got[0], mean, atol=1e-8)
         np.testing.assert_allclose(got[1], spread, atol=1e-8)
 
@@ -189,3 +192,10 @@ def test_residuals_of_training_samples_are_without_force_along_the_surface(known
     seen, _ = predict_residuals(locator, sheared, np.arange(samples.count), moments)
     rms = float(np.sqrt(np.mean(seen.residual_px**2)))
     assert (rms < 0.03) == (known != "none is assumed")
+
+
+def test_a_decoder_that_takes_friction_as_normal_force_says_so() -> None:
+    plain = toy_bundle()
+    for locator, said in ((flat_locator(), True), (sheared_locator(), False)):
+        bundle = replace(plain, model=replace(plain.model, locator=locator))
+        assert any("friction is read as normal force" in text for text in bundle.limits()) == said

@@ -13,7 +13,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera_motion import CameraMotion
 from phytac_decoder.estimation.contact_shifts import (
-    PLACED,
+    SHEAR_START,
     UNKNOWNS,
     ContactState,
     predicted_shifts,
@@ -384,7 +384,7 @@ def prior_residual(
     own = [state.place for state in states]
     off = x.copy()
     off[:, 1:3] = x[:, 1:3] - places.tangent_coordinates(own, starts)
-    off[:, 3:PLACED] -= np.array(prior.moments_mm2)
+    off[:, 3:SHEAR_START] -= np.array(prior.moments_mm2)
     return off.reshape(-1)
 
 
@@ -406,7 +406,9 @@ def _take_step(places: ResponseTable, states: Sequence[ContactState], step: Floa
     nearest = places.nearest(points)
     for state, place, point, x in zip(states, nearest.tolist(), points, new, strict=True):
         if place != state.place:
-            x[PLACED:] = axes_turn(places.axes[place], places.axes[state.place]) @ x[PLACED:]
+            x[SHEAR_START:] = (
+                axes_turn(places.axes[place], places.axes[state.place]) @ x[SHEAR_START:]
+            )
             state.place, state.tables = place, places.cubic(place)
             state.shear = places.shear_cubic(place)
             x[1:3] = places.tangent_coordinates([place], point[None])[0]

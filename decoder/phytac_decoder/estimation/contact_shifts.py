@@ -14,8 +14,8 @@ from phytac_shapes.arrays import FloatArray, IntArray
 UNKNOWNS = 8
 """Of a contact: force (N), centre along and around (mm), second moments xx, xy, yy (mm²), and
 force along the surface over the normal force, along and around."""
-PLACED = 6
-"""The first of them, without force along the surface."""
+SHEAR_START = 6
+"""Index of the first unknown of force along the surface."""
 
 
 @dataclass(kw_only=True)
@@ -110,15 +110,15 @@ def single_contact_shifts(
     rows = _rows(state, state.tables[:, :orders])
     powers, change = order_factors(rows[0], f, top_N)
     slope = np.empty((UNKNOWNS, rows.shape[2]))
-    slope[:PLACED] = (f * powers).astype(np.float32) @ rows
+    slope[:SHEAR_START] = (f * powers).astype(np.float32) @ rows
     total = slope[0].copy()
     slope[0] = ((1.0 + change) * powers).astype(np.float32) @ rows[0]
     shear = _rows(state, state.shear)
-    slope[PLACED:] = f * shear[0]
-    sheared = state.x[PLACED:].astype(np.float32) @ shear
+    slope[SHEAR_START:] = f * shear[0]
+    sheared = state.x[SHEAR_START:].astype(np.float32) @ shear
     total += f * sheared[0]
     slope[0] += sheared[0]
-    slope[1:PLACED] += f * sheared[1:]
+    slope[1:SHEAR_START] += f * sheared[1:]
     return total, slope
 
 
@@ -150,11 +150,11 @@ def _on_wall(
         more = ((lost**order - own**order).astype(np.float32) @ rows).astype(np.float64)
         total += f * more[0]
         more[1:] *= f
-        slope[:PLACED] += more
-        slope[:PLACED] -= np.outer(by_own[0], f * (order * own ** (order - 1)) @ rows[0])
+        slope[:SHEAR_START] += more
+        slope[:SHEAR_START] -= np.outer(by_own[0], f * (order * own ** (order - 1)) @ rows[0])
         stiffer += f * (order * lost ** (order - 1)) @ rows[0]
     for part, by in zip(out, by_all, strict=True):
-        part[1][:PLACED] += np.outer(by, stiffer)
+        part[1][:SHEAR_START] += np.outer(by, stiffer)
     return out
 
 
@@ -175,7 +175,7 @@ def _lost(
 def _rows(state: ContactState, tables: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return rows (6, k, 2n) of shifts and their slopes, by derivatives (10, k, 2n) of tables."""
     rows = _terms(state) @ tables.reshape(10, -1)
-    return np.asarray(rows.reshape(PLACED, *tables.shape[1:]))
+    return np.asarray(rows.reshape(SHEAR_START, *tables.shape[1:]))
 
 
 def _terms(state: ContactState) -> NDArray[np.float32]:

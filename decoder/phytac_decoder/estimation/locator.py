@@ -30,10 +30,10 @@ from phytac_decoder.estimation.contact_fit import (
     prior_residual,
 )
 from phytac_decoder.estimation.contact_grouping import assign_to_contacts, group_key_nodes
-from phytac_decoder.estimation.contact_shifts import PLACED, UNKNOWNS, ContactState, centre_of
+from phytac_decoder.estimation.contact_shifts import SHEAR_START, UNKNOWNS, ContactState, centre_of
 from phytac_decoder.estimation.force_correction import ForceCorrection
+from phytac_decoder.estimation.friction_prior import SHEAR_SPREAD, average_over_friction
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
-from phytac_decoder.estimation.square_press import SHEAR_SPREAD, average_over_square
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.discs import disc_overlap_share
@@ -472,7 +472,7 @@ class ContactLocator:
                     point_mm=points[k],
                     radius_mm=float(radius[k]),
                     sd_mm=sd[k, 1:3],
-                    moments_mm2=state.x[3:PLACED].copy(),
+                    moments_mm2=state.x[3:SHEAR_START].copy(),
                     signal_px=float(signal[k]),
                     **self._shear(state, covariances[k], force[k] / raw[k]),
                 )
@@ -527,7 +527,7 @@ class ContactLocator:
             own = slice(UNKNOWNS * k, UNKNOWNS * (k + 1))
             state, covariance = best.states[k], wider * best.covariance[own, own]
             if self.places.shear is not None:
-                x, covariance = average_over_square(
+                x, covariance = average_over_friction(
                     state.x, covariance, shear_sd=self.prior.shear_sd
                 )
                 state = replace(state, x=x)
@@ -545,12 +545,12 @@ class ContactLocator:
         factor : float
             Corrected over raw force.
         """
-        ratio, force = state.x[PLACED:], float(state.x[0])
+        ratio, force = state.x[SHEAR_START:], float(state.x[0])
         slope = np.zeros((UNKNOWNS, 2))
-        slope[0], slope[PLACED], slope[PLACED + 1] = ratio, (force, 0.0), (0.0, force)
+        slope[0], slope[SHEAR_START], slope[SHEAR_START + 1] = ratio, (force, 0.0), (0.0, force)
         axes = self.places.axes[state.place]
         variance = axes.T @ (slope.T @ covariance @ slope) @ axes
-        known = max(float(np.linalg.eigvalsh(covariance[PLACED:, PLACED:])[0]), 0.0)
+        known = max(float(np.linalg.eigvalsh(covariance[SHEAR_START:, SHEAR_START:])[0]), 0.0)
         return {
             "shear_N": factor * force * (ratio @ axes),
             "shear_sd_N": SHEAR_SPREAD * factor * np.sqrt(np.maximum(variance.diagonal(), 0.0)),

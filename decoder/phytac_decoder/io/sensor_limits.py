@@ -92,6 +92,12 @@ def limits_of(bundle: "Bundle") -> list[str]:
             f"({id_list(unread)}): the camera sees nearly as much red at rest as when they are "
             "on; they count only where the markers' motion agrees"
         )
+    locator = bundle.model.locator
+    if locator is not None and locator.places.shear is None:
+        out.append(
+            "this decoder was built before force along the surface was estimated: friction is read "
+            "as normal force, or as contacts that do not exist; build and train it again"
+        )
     played = markers_in_play(bundle)
     if not played.all():
         out.append(

@@ -259,10 +259,10 @@ class ResponseTable:
 
 
 def axes_turn(ours: FloatArray, theirs: FloatArray) -> FloatArray:
-    """Return the rotations (…, 2, 2) of components in one place's axes to those in another's.
+    """Return the rotations (…, 2, 2) that take components along ``theirs`` to those along ``ours``.
 
-    Of two unit tangents each, (…, 2, 3); their normals are first turned onto ours by the shortest
-    way. Axes turn quickly around a pole.
+    Both are two unit tangents, (…, 2, 3). Their plane is first turned into ours by the shortest
+    way. Around a pole, the axes of neighbouring places differ by large angles.
     """
     turn = np.einsum("...ik,...jk->...ij", ours, theirs)
     # The rotation nearest to the projection: its polar factor, in two dimensions.
