@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -36,7 +37,10 @@ from tests.designs import small
 from tests.refusals import refused
 
 SMALL = small(
-    training={"samples": 20}, camera={"width_px": 864, "height_px": 648, "focal_px": 323.0}
+    shape={"length_mm": 40.0},
+    layout={"rows": 5, "columns": 10, "height_far_mm": 4.0},
+    training={"samples": 20},
+    camera={"width_px": 648, "height_px": 486, "focal_px": 242.0},
 )
 
 
@@ -195,13 +199,13 @@ def test_a_data_set_that_exists_is_kept_or_rejected(whole: Path) -> None:
     assert files(whole) == before
 
 
-def test_force_replaces_a_data_set(tmp_path: Path) -> None:
-    job = job_of(tables={"touch": {"samples": 1}})
-    run(job, tmp_path / "data", workers=0)
+def test_force_replaces_a_data_set(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "data")
     (tmp_path / "data" / FILE).write_bytes(b"")
     with refused("output-foreign"):
-        run(job, tmp_path / "data", workers=0)
-    run(job, tmp_path / "data", workers=1, force=True)
+        run(job_of(), tmp_path / "data", workers=0)
+    job = job_of(tables={"touch": {"samples": 1}})
+    run(job, tmp_path / "data", workers=0, force=True)
     assert read(tmp_path / "data").count == 1
 
 
@@ -264,13 +268,14 @@ def test_the_command_lists_scenarios_and_refuses_nonsense() -> None:
 
 
 def test_contacts_that_overlap_share_what_they_press(tmp_path: Path) -> None:
-    at = {"marker": 50, "force_N": 5.0, "radius_mm": 3.0}
+    at = {"marker": 25, "force_N": 5.0, "radius_mm": 3.0}
     job = job_of(tables={"touch": {"samples": 1, "at": [at, at], "multi_share": 0.0}})
     assert job.plan.switching.receptor_force_N.sum() == pytest.approx(10.0)
 
 
 def test_markers_too_blurred_to_identify_are_missing_and_reported(tmp_path: Path) -> None:
-    design = copy_of(load_design("cylinder40"), camera={"f_number": 2.8})
+    half = {"width_px": 1296, "height_px": 972, "focal_px": 485.0}
+    design = copy_of(load_design("cylinder40"), camera={**half, "f_number": 1.6})
     job = job_of(design=design, tables={"touch": {"samples": 1}})
     said: list[str] = []
     simulate(job, tmp_path / "data", workers=0, progress=said.append)

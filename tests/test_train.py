@@ -25,6 +25,7 @@ from phytac_design.training.levenberg_marquardt import (
     train_network,
 )
 from phytac_design.training.training_data import SHARES, DataSet, read_data_sets, split_data_sets
+from phytac_design.workflows import train_decoder
 from phytac_design.workflows.train_decoder import MECHANICS, TABLE, train
 from phytac_shapes.errors import DesignError
 from tests.decoder.drawn_samples import assert_same, drawn
@@ -41,6 +42,7 @@ DESIGN = small(
 HASH = design_hash(DESIGN)
 SOFTER = 1.25
 """The data's sensor against the decoder's mechanics: what there is to learn."""
+LITTLE = 30
 BUNDLE = ("bundle.json", "bundle.safetensors")
 
 
@@ -66,6 +68,14 @@ def data(context: Context, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture(scope="module")
+def little(context: Context, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As few presses as a decoder can be trained on, for what does not depend on how well."""
+    out = tmp_path_factory.mktemp("little") / "points"
+    write_samples(out, pressed(context, LITTLE, 0), meta_of("tiny", HASH))
+    return out
+
+
 @pytest.fixture
 def learn(context: Context, data: Path, tmp_path: Path) -> Callable[..., Path]:
     """Train quietly; the decoder's folder."""
@@ -76,6 +86,13 @@ def learn(context: Context, data: Path, tmp_path: Path) -> Callable[..., Path]:
         return tmp_path / name
 
     return run
+
+
+@pytest.fixture
+def networks_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the calibration of ``auto``, most of the time, for what does not depend on it."""
+    chosen = [item for item in train_decoder.TRAINERS if item[0] != "auto"]
+    monkeypatch.setattr(train_decoder, "TRAINERS", chosen)
 
 
 def test_a_decoder_is_trained_and_better_than_the_mechanics_alone(
@@ -98,8 +115,11 @@ def test_a_decoder_is_trained_and_better_than_the_mechanics_alone(
     assert relative == test["fem_nn"]["relative_error"]
 
 
-def test_the_same_inputs_give_the_same_bundle(learn: Callable[..., Path]) -> None:
-    first, again, other = learn(), learn(name="again"), learn(name="other", seed=1)
+def test_the_same_inputs_give_the_same_bundle(learn: Callable[..., Path], little: Path) -> None:
+    first, again, other = (
+        learn(little, name=name, seed=seed)
+        for name, seed in (("first", 0), ("again", 0), ("other", 1))
+    )
     for name in BUNDLE:
         assert (first / name).read_bytes() == (again / name).read_bytes()
         assert (first / name).read_bytes() != (other / name).read_bytes()
@@ -110,13 +130,15 @@ def test_the_same_inputs_give_the_same_bundle(learn: Callable[..., Path]) -> Non
     assert plain[0] == plain[1] != plain[2]
 
 
+@pytest.mark.usefixtures("networks_alone")
 def test_fewer_samples_can_be_used(learn: Callable[..., Path]) -> None:
-    facts = json.loads((learn(samples=60) / TABLE).read_text())
-    assert sum(facts["samples"].values()) == 60
+    facts = json.loads((learn(samples=LITTLE) / TABLE).read_text())
+    assert sum(facts["samples"].values()) == LITTLE
     with refused("training-data-too-few"):
         learn(samples=201)
 
 
+@pytest.mark.usefixtures("networks_alone")
 def test_inputs_alone_train_the_networks_the_same(
     learn: Callable[..., Path], context: Context, tmp_path: Path
 ) -> None:
@@ -140,20 +162,21 @@ def test_inputs_alone_train_the_networks_the_same(
         learn(tmp_path / "low", name="low-decoder")
 
 
+@pytest.mark.usefixtures("networks_alone")
 def test_several_sets_are_used_together(
-    learn: Callable[..., Path], context: Context, data: Path, tmp_path: Path
+    learn: Callable[..., Path], context: Context, little: Path, tmp_path: Path
 ) -> None:
-    write_samples(tmp_path / "more", pressed(context, 40, 1), meta_of("tiny", HASH))
-    facts = json.loads((learn(data, tmp_path / "more") / TABLE).read_text())
-    assert sum(facts["samples"].values()) == 240
+    write_samples(tmp_path / "more", pressed(context, 20, 1), meta_of("tiny", HASH))
+    facts = json.loads((learn(little, tmp_path / "more") / TABLE).read_text())
+    assert sum(facts["samples"].values()) == LITTLE + 20
     with refused("data-set-duplicate"):
-        learn(data, tmp_path / "more", data)
+        learn(little, tmp_path / "more", little)
     # As a longer run of one seed holds a shorter one's samples.
-    samples = pressed(context, 200, 0)
-    write_samples(tmp_path / "part", select_samples(samples, np.arange(30)), meta_of("tiny", HASH))
+    samples = pressed(context, LITTLE, 0)
+    write_samples(tmp_path / "part", select_samples(samples, np.arange(10)), meta_of("tiny", HASH))
     with refused("data-sets-overlap"):
-        learn(data, tmp_path / "part")
-    for name, count in (("whole", 200), ("first", 30)):
+        learn(little, tmp_path / "part")
+    for name, count in (("whole", LITTLE), ("first", 10)):
         kept = select_samples(samples, np.arange(count))
         rows = key_nodes(untrained_model(context), kept, noise_px=1e-4)
         write_samples(tmp_path / name, inputs_alone(kept, rows), meta_of("tiny", HASH))
@@ -163,19 +186,22 @@ def test_several_sets_are_used_together(
     caught.match(f"^{read} samples of .*first are in .*whole as well")
 
 
-def test_another_decoder_is_a_start(learn: Callable[..., Path], tmp_path: Path) -> None:
-    first = learn()
-    out = learn(name="second", start=first, samples=40)
+@pytest.mark.usefixtures("networks_alone")
+def test_another_decoder_is_a_start(
+    learn: Callable[..., Path], little: Path, tmp_path: Path
+) -> None:
+    first = learn(little)
+    out = learn(little, name="second", start=first, samples=25)
     bundle = load_bundle(out)
     assert bundle.notes["start"]["design"] == "tiny"
     assert json.loads((out / TABLE).read_text())["start"] == bundle.notes["start"]
-    plain = learn(name="plain", samples=40)
+    plain = learn(little, name="plain", samples=25)
     assert (out / BUNDLE[1]).read_bytes() != (plain / BUNDLE[1]).read_bytes()
     known = load_bundle(first)
     bare = replace(known, model=replace(known.model, networks={}))
     save_bundle(bare, tmp_path / "bare")
     with refused("network-unknown"):
-        learn(name="third", start=tmp_path / "bare")
+        learn(little, name="third", start=tmp_path / "bare")
 
 
 def rows(count: int, seed: int, size: float = 1.0) -> KeyNodeData:
@@ -327,27 +353,30 @@ def test_data_that_cannot_be_used_are_rejected(
         learn(samples=2)
 
 
-def test_a_folder_of_something_else_is_kept(learn: Callable[..., Path], tmp_path: Path) -> None:
+@pytest.mark.usefixtures("networks_alone")
+def test_a_folder_of_something_else_is_kept(
+    learn: Callable[..., Path], little: Path, tmp_path: Path
+) -> None:
     folder = tmp_path / "decoder"
     folder.mkdir()
     (folder / "mine.txt").write_text("mine")
     with refused("output-foreign"):
-        learn()
+        learn(little)
     (folder / TABLE).write_text('{"design": "another"}')
     with refused("output-foreign"):
-        learn()
-    learn(force=True)
-    learn()
+        learn(little)
+    learn(little, force=True)
+    learn(little)
     assert (folder / "mine.txt").read_text() == "mine"
     (tmp_path / "file").write_text("")
     with refused("output-not-writable"):
-        learn(name="file/decoder")
+        learn(little, name="file/decoder")
 
 
 def test_the_command(context: Context, data: Path, tmp_path: Path) -> None:
     (tmp_path / "tiny.toml").write_text(to_toml(DESIGN))
     words = ["train", str(tmp_path / "tiny.toml"), str(data), "--accuracy", "draft"]
-    words += ["--samples", "50", "--out", str(tmp_path / "out")]
+    words += ["--samples", str(LITTLE), "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "koi_inverse" in done.output
