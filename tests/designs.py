@@ -1,12 +1,27 @@
 """Small designs for tests."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
+
+CAMERA: dict[str, Any] = {"width_px": 648, "height_px": 486, "focal_px": 242.0}
+COARSE = replace(
+    PRESETS["draft"],
+    frames=1,
+    sample_share=0.01,
+    press_places=1,
+    refine=2,
+    truth_refine=3,
+    place_share=1.5,
+    cad_tolerance_mm=0.2,
+)
+"""The least accuracy: for what does not depend on how well anything is computed."""
 
 
 def changed(base: str = "cylinder60", **tables: Any) -> Design:
@@ -29,6 +44,19 @@ def small(**tables: Any) -> Design:
     for name, change in tables.items():
         base[name] = {**base.get(name, {}), **change} if isinstance(change, dict) else change
     return changed(**base)
+
+
+def tiny(**tables: Any) -> Design:
+    """Sixteen markers before a small camera; with ``COARSE``, for what needs every stage."""
+    base: dict[str, Any] = {
+        "shape": {"length_mm": 24.0},
+        "layout": {"rows": 2, "columns": 8, "height_far_mm": 4.0},
+        "camera": CAMERA,
+        "training": {"samples": 40, "samples_test": 20},
+    }
+    for name, change in tables.items():
+        base[name] = {**base.get(name, {}), **change} if isinstance(change, dict) else change
+    return small(**base)
 
 
 def of_shape(kind: str, shape: dict[str, Any], layout: dict[str, Any], **tables: Any) -> Design:

@@ -27,7 +27,7 @@ from phytac_shapes.errors import (
     MissingPartError,
     PhytacError,
 )
-from tests.designs import changed, small
+from tests.designs import COARSE, changed, small, tiny
 from tests.refusals import refused
 
 CONTRACT = {
@@ -315,10 +315,10 @@ def test_a_shell_that_the_cad_kernel_cannot_fuse_is_printed_all_the_same(
 
     monkeypatch.setattr("phytac_design.stages.shell_stage.shell_cad", broken)
     monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.shell_cad", broken)
-    whole = replace(PRESETS["draft"], cad_tolerance_mm=0.02)
+    whole = replace(COARSE, cad_tolerance_mm=0.02)
     only = ["step", "hardware"]
     said: list[str] = []
-    design = small(layout={"rows": 3, "columns": 4})
+    design = tiny()
     result = build(design, tmp_path / "x", accuracy=whole, only=only, progress=said.append)
     assert any("the assembly holds the wall without receptors" in line for line in said)
     assert any("step: left out (OpenCASCADE cannot fuse" in line for line in said)

@@ -7,7 +7,7 @@ import pytest
 
 from phytac_design.mechanics.switch import bowl_check
 from phytac_design.stages.build import build
-from tests.designs import small
+from tests.designs import CAMERA, COARSE, small, tiny
 from tests.refusals import refused
 
 
@@ -47,14 +47,14 @@ def test_impossible_designs_write_nothing(change: dict, code: str, tmp_path: Pat
 @pytest.mark.usefixtures("coarse_switches")
 def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
     layout = {"kind": "straight", "rows": 12, "columns": 3, "height_far_mm": 2.0}
-    design = small(name="one", layout=layout)
+    design = small(name="one", layout=layout, camera=CAMERA)
     seen: list[str] = []
     with refused("build-gate") as caught:
-        build(design, tmp_path / "x", accuracy="draft", progress=seen.append)
+        build(design, tmp_path / "x", accuracy=COARSE, progress=seen.append)
     caught.match("layout.kind")
     assert not any("shell" in text for text in seen)
     assert not (tmp_path / "x" / "manifest.json").exists()
-    build(design, tmp_path / "x", accuracy="draft", force=True, progress=quiet)
+    build(design, tmp_path / "x", accuracy=COARSE, force=True, progress=quiet)
     report = json.loads((tmp_path / "x" / "report" / "report.json").read_text())
     assert report["visibility"]["fused"] > 0
     assert "verdict bad" in (tmp_path / "x" / "report" / "report.html").read_text()
@@ -71,13 +71,13 @@ def test_markers_too_small_to_see_are_refused_not_decoded(tmp_path: Path) -> Non
 def test_switches_that_cannot_be_made_stop_the_build_unless_forced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[::3])
-    design = small(name="unmade", switch={"modulus_MPa": 0.1})
+    monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[:1])
+    design = tiny(name="unmade", switch={"modulus_MPa": 0.1})
     with refused("build-gate") as caught:
-        build(design, tmp_path / "x", accuracy="draft", progress=quiet)
+        build(design, tmp_path / "x", accuracy=COARSE, progress=quiet)
     caught.match("--force")
     assert not (tmp_path / "x").exists()
     only = ["printing", "bench"]
-    build(design, tmp_path / "x", accuracy="draft", only=only, force=True, progress=quiet)
+    build(design, tmp_path / "x", accuracy=COARSE, only=only, force=True, progress=quiet)
     made = {path.name for path in (tmp_path / "x").iterdir()}
     assert made == {"design.toml", "manifest.json", "shell", "views"}

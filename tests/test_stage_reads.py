@@ -11,7 +11,6 @@ import pytest
 from pydantic import BaseModel
 
 from phytac_decoder.io.bundle import load_bundle
-from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.design.field_groups import PARTS, fields_of, values_of
 from phytac_design.design.layout_table import LayoutSection
@@ -21,34 +20,7 @@ from phytac_design.layout import marker_layout as layout_make
 from phytac_design.layout.markers import Markers
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import build
-from tests.designs import changed, small
-
-COARSE = replace(
-    PRESETS["draft"],
-    frames=1,
-    sample_share=0.01,
-    press_places=1,
-    refine=2,
-    truth_refine=3,
-    place_share=1.5,
-    cad_tolerance_mm=0.2,
-)
-
-
-CAMERA = {"width_px": 648, "height_px": 486, "focal_px": 242.0}
-
-
-def tiny(**tables: Any) -> Design:
-    """Sixteen markers before a small camera."""
-    base: dict[str, Any] = {
-        "shape": {"length_mm": 24.0},
-        "layout": {"rows": 2, "columns": 8, "height_far_mm": 4.0},
-        "camera": CAMERA,
-        "training": {"samples": 40, "samples_test": 20},
-    }
-    for name, change in tables.items():
-        base[name] = {**base.get(name, {}), **change} if isinstance(change, dict) else change
-    return small(**base)
+from tests.designs import CAMERA, COARSE, changed, tiny
 
 
 def test_every_field_of_the_layout_is_of_one_part() -> None:

@@ -114,6 +114,7 @@ def test_thick_soft_bowls_stay_axisymmetric_and_thin_ones_do_not(made: SwitchDes
     assert stable == {}
 
 
+@pytest.mark.usefixtures("coarse_switches")
 def test_refusal_says_what_would_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[:1])
     with refused("switch-infeasible") as error:
@@ -227,6 +228,7 @@ def test_plot_is_svg(made: SwitchDesign) -> None:
     assert curve_plot(made) == text
 
 
+@pytest.mark.usefixtures("coarse_switches")
 def test_command(made: SwitchDesign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     app = typer.Typer()
     app.command()(switch)
