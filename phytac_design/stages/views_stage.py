@@ -50,6 +50,7 @@ def _noise(sensor: Sensor, shot: Shot, rng: np.random.Generator) -> tuple[FloatA
         shot.rest,
         shot.camera,
         lambda frame: shot.positions(sensor, frame),
+        clean=shot.frames[0],
         point_mm=np.where(shot.seen.lost[:, None], sensor.markers.tip_mm, shot.seen.paint_point_mm),
         neighbours=sensor.markers.neighbours,
         noise_std=sensor.design.camera.noise_pixel,

@@ -68,6 +68,7 @@ def test_noise_of_other_frames_is_as_predicted() -> None:
         one.rest,
         one.camera,
         lambda frame: one.positions(SENSOR, frame),
+        clean=one.frames[0],
         point_mm=one.seen.paint_point_mm,
         neighbours=markers.neighbours,
         noise_std=noise_std,

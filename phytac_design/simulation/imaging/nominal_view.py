@@ -215,6 +215,8 @@ def _with_covers(sensor: Sensor, shot: Shot) -> Shot:
     tolerance = tolerance_mm(shot.camera, sensor.markers)
 
     def detect(out: BoolArray) -> FloatArray:
+        if not out.any():
+            return shot.positions(sensor, shot.frames[0])
         scene = build_scene(sensor, tolerance_mm=tolerance, switch_on=out)
         return shot.positions(sensor, render_frame(scene, shot.camera))
 

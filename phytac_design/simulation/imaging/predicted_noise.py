@@ -33,6 +33,7 @@ def predict_noise(
     camera: Camera,
     detect: Callable[[ImageArray], FloatArray],
     *,
+    clean: ImageArray,
     point_mm: FloatArray,
     neighbours: IntArray,
     noise_std: float,
@@ -47,12 +48,13 @@ def predict_noise(
     ----------
     detect : callable
         Positions (n, 2) px of markers in a frame; NaN where not found.
+    clean : (h, w, 3) uint8
+        Noise-free frame of the scene in the camera.
     point_mm : (n, 3) float
         Points whose images the positions are.
     noise_std : float
         Noise of a pixel, grey levels.
     """
-    clean = render_frame(scene, camera)
 
     def noisy(frame: ImageArray) -> FloatArray:
         noise = rng.normal(0.0, noise_std, frame.shape).astype(np.float32)
