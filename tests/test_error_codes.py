@@ -22,10 +22,10 @@ KEBAB = re.compile(r"[a-z0-9]+(-[a-z0-9]+){1,3}")
 
 
 @cache
-def trees() -> dict[Path, ast.Module]:
-    """Syntax trees of all modules that may raise errors."""
+def walked() -> dict[Path, list[ast.AST]]:
+    """Nodes of the syntax trees of all modules that may raise errors."""
     paths = (path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py")))
-    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in paths}
+    return {path: list(ast.walk(ast.parse(path.read_text(encoding="utf-8")))) for path in paths}
 
 
 def name_of(node: ast.expr) -> str:
@@ -36,27 +36,31 @@ def name_of(node: ast.expr) -> str:
 def family() -> set[str]:
     """Names of ``PhytacError`` and all its subclasses."""
     out = {"PhytacError"}
-    classes = [
-        node for tree in trees().values() for node in ast.walk(tree) if type(node) is ast.ClassDef
-    ]
+    classes = [node for nodes in walked().values() for node in nodes if type(node) is ast.ClassDef]
     for _ in range(3):  # subclasses of subclasses
         out |= {node.name for node in classes if out & {name_of(base) for base in node.bases}}
     return out
 
 
-def code_arguments() -> Iterator[tuple[str, str, ast.expr]]:
+@cache
+def code_arguments() -> list[tuple[str, str, ast.expr]]:
+    """:func:`find_code_arguments`, found once."""
+    return list(find_code_arguments())
+
+
+def find_code_arguments() -> Iterator[tuple[str, str, ast.expr]]:
     """Place, class and argument ``code`` of every error that is made, directly or by a helper."""
     errors = family()
-    for path, tree in trees().items():
+    for path, nodes in walked().items():
         # Functions of this module that hand their parameter ``code`` to an error.
         helpers: dict[str, tuple[str, int]] = {"refuse": ("DesignError", 0)}
-        for node in ast.walk(tree):
+        for node in nodes:
             if isinstance(node, ast.FunctionDef):
                 names = [argument.arg for argument in node.args.args]
                 for call in (item for item in ast.walk(node) if isinstance(item, ast.Call)):
                     if name_of(call.func) in errors and "code" in names:
                         helpers[node.name] = name_of(call.func), names.index("code")
-        for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        for call in (node for node in nodes if isinstance(node, ast.Call)):
             place = f"{path.relative_to(ROOT)}:{call.lineno}"
             if name_of(call.func) in errors:
                 yield place, name_of(call.func), call.args[0]
@@ -66,7 +70,7 @@ def code_arguments() -> Iterator[tuple[str, str, ast.expr]]:
 
 
 def test_codes_are_literals_in_kebab_case() -> None:
-    found = list(code_arguments())
+    found = code_arguments()
     assert len(found) > 600
     for place, _, code in found:
         if isinstance(code, ast.Constant):

@@ -45,6 +45,8 @@ def parsed(path: Path) -> ast.Module:
 def imports(node: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
     """Import statements anywhere below a node, those for type checkers alone left out."""
     for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.expr):
+            continue  # no statement is part of an expression
         if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
             continue
         if isinstance(child, ast.Import | ast.ImportFrom):
