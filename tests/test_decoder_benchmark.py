@@ -27,19 +27,26 @@ from benchmarks.harness import Table
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.datasets.samples_file import write_samples
+from phytac_design.design.spec import Design
 from phytac_design.simulation.cramer_rao import cell_prior
 from phytac_design.simulation.run.job import Job, data_set_info
-from tests.designs import small
+from tests.designs import CAMERA, small
 from tests.made_up import at, found_of
 from tests.refusals import refused
 
 LINEAR: dict[str, object] = {"displacement": "linear"}
 
 
+def sensor() -> Design:
+    """Fifty markers before a small camera."""
+    layout = {"rows": 5, "columns": 10, "height_far_mm": 4.0}
+    return small(shape={"length_mm": 40.0}, layout=layout, camera=CAMERA)
+
+
 def job(**changes: object) -> Job:
     """A few draft samples of the small sensor's first print."""
     given = {"unit": 1, "samples": 20, "accuracy": "draft", "solve": LINEAR} | changes
-    return job_of(small(), **given)  # type: ignore[arg-type]  # each test changes what it tests
+    return job_of(sensor(), **given)  # type: ignore[arg-type]  # each test changes what it tests
 
 
 @pytest.fixture(scope="module")
@@ -364,7 +371,7 @@ def test_cycles_part_runs_and_reads_nothing_at_rest(
     """Its quick form, on the small sensor at hand."""
     monkeypatch.setenv("PHYTAC_DATA", str(tmp_path))
     monkeypatch.setattr("benchmarks.decoder_shapes.bench", lambda _: here)
-    monkeypatch.setattr("benchmarks.decoder_data.small_design", small)
+    monkeypatch.setattr("benchmarks.decoder_data.small_design", sensor)
     table = Table("x")
     add_rows_cycles(table, quick=True)
     rest = next(row for row in table.rows if "at rest" in row["case"])
