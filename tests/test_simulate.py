@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -22,7 +23,9 @@ from phytac_design.cli.app import app
 from phytac_design.core.journal import Journal
 from phytac_design.datasets.samples import STATUSES, Samples
 from phytac_design.datasets.samples_file import FILE, TABLE, read_samples
-from phytac_design.design.design_file import load_design, to_toml
+from phytac_design.design.design_file import design_hash, load_design, to_toml
+from phytac_design.layout.sensor import Sensor
+from phytac_design.simulation.imaging.nominal_view import expected_views
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario
 from phytac_design.stages.build import copy_of
@@ -73,6 +76,22 @@ def files(out: Path) -> dict[str, bytes]:
         for path in sorted(out.rglob("*"))
         if path.is_file()
     }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _views_once() -> Iterator[None]:
+    """What a design shows is found once; processes of their own find it again."""
+    known: dict[str, dict[str, Any]] = {}
+
+    def views(sensor: Sensor) -> dict[str, Any]:
+        key = design_hash(sensor.design)
+        if key not in known:
+            known[key] = expected_views(sensor)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("phytac_design.workflows.simulate.expected_views", views)
+        yield
 
 
 @pytest.fixture(scope="module")
