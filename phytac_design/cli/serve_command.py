@@ -348,7 +348,7 @@ def open_session(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     checked = with_exposure_check(with_torn_frame_check(decode))
     frames.restart()
-    return Session(bundle, frames, named, chosen, checked)
+    return Session(calibrated, frames, named, chosen, checked)
 
 
 def open_frames(

@@ -224,6 +224,35 @@ class DataSetInfo:
     notes: dict[str, Any] = field(default_factory=dict)
     frames: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def rest_px(self) -> FloatArray | None:
+        """Rest positions (n, 2) px of its print's markers, NaN where not found; None if unknown.
+
+        Raises
+        ------
+        InputError
+            If ``notes`` hold something else.
+        """
+        stored = self.notes.get("rest_px")
+        if stored is None:
+            return None
+        try:
+            pairs = [(np.nan, np.nan) if pair is None else pair for pair in stored]
+            return np.array(pairs, dtype=np.float64).reshape(len(pairs), 2)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                "data-set-table-invalid",
+                f"{self.what}: notes.rest_px is no list of pairs of numbers ({error}); make the "
+                "data set again",
+            ) from None
+
+
+def rest_note(rest_px: FloatArray) -> dict[str, Any]:
+    """Return rest positions (n, 2) px as a note of a data set: they identify the print."""
+    found: BoolArray = np.isfinite(rest_px).all(axis=1)
+    pairs = np.round(rest_px, 3).tolist()
+    return {"rest_px": [pair if seen else None for pair, seen in zip(pairs, found, strict=True)]}
+
 
 def truth_rows(bits: BoolArray, owner: IntArray, receptor_force_N: FloatArray) -> TruthRows:
     """Return rows of the switches that are on, from full arrays (s, n).

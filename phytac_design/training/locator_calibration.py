@@ -216,9 +216,10 @@ def calibrate_locator(
             truth_N=matches.truth_N,
             block=press_blocks(samples, matches.touch),
         )
+    correction = replace(correction, stiffness=first * second)
     facts = {
         "contacts": len(matches.force_N),
-        "stiffness": first * second,
+        "stiffness": correction.stiffness,
         "gain": float(np.sqrt(np.mean(gain**2))),
         "uneven": field.enabled,
         "noise_px": plain.noise.centroid_px,

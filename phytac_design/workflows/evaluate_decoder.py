@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.pipeline.print_identity import for_this_print
 from phytac_design.core.json_values import finite
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples
 from phytac_design.design.design_file import design_hash, load_design, shipped_designs
@@ -89,6 +91,7 @@ def evaluate(
                 f"warning: {item.folder} is what this decoder was trained on: these are not "
                 "errors on unseen samples"
             )
+    decoder = _for_prints(decoder, sets, progress)
     known = find_design(decoder, bundle, design)
     if known is None:
         progress(
@@ -139,6 +142,22 @@ def evaluate(
             for name, picture in draw(facts, decoded).items():
                 (folder / name).write_bytes(picture)
     return facts
+
+
+def _for_prints(
+    decoder: Bundle, sets: Sequence[DataSet], progress: Callable[[str], None]
+) -> Bundle:
+    """Return the decoder as it reads the prints of the data, with a warning for another one."""
+    for item in sets:
+        rest_px = item.meta.rest_px
+        if rest_px is not None and len(rest_px) == len(decoder.colour):
+            decoder = for_this_print(replace(decoder, rest_px=rest_px))
+    if decoder.other_print_mm:
+        progress(
+            "warning: the data are of another print than this decoder was trained on: it reads all "
+            "of them as one of a print that it does not know"
+        )
+    return decoder
 
 
 def find_design(decoder: Bundle, folder: Path, wanted: str | None) -> Design | None:

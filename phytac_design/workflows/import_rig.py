@@ -11,7 +11,13 @@ import numpy as np
 from phytac_decoder.camera.lens import Lens
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.pipeline.decode import FrameMeasurement
-from phytac_design.datasets.samples import DataSetInfo, Samples, inputs_alone, key_nodes
+from phytac_design.datasets.samples import (
+    DataSetInfo,
+    Samples,
+    inputs_alone,
+    key_nodes,
+    rest_note,
+)
 from phytac_design.datasets.samples_file import FRAMES, file_hash, write_samples
 from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import design_hash
@@ -189,6 +195,7 @@ def import_rig(
         "log": log_path.name,
         "log_says": list(log.remarks),
         "rest": [Path(text).name for text in rest],
+        **({} if rest_px is None else rest_note(rest_px)),
     }
     meta = DataSetInfo(
         simulated=False,

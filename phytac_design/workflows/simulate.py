@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,15 @@ from phytac_decoder.io.sensor_limits import id_list
 from phytac_decoder.pipeline.decode import FOUND_WELL
 from phytac_design.core.journal import Journal, write_atomically
 from phytac_design.core.workers import WorkerPool
-from phytac_design.datasets.samples import STATUSES, THEORIES, Samples, inputs_alone, key_nodes
+from phytac_design.datasets.samples import (
+    STATUSES,
+    THEORIES,
+    DataSetInfo,
+    Samples,
+    inputs_alone,
+    key_nodes,
+    rest_note,
+)
 from phytac_design.datasets.samples_file import (
     FILE,
     FRAMES,
@@ -289,7 +297,7 @@ def simulate(
         before = len(facts)
         if before:
             progress(f"simulate: {before} of {total} samples were done before")
-        sight = observe_rest(job, progress) if before < total else None
+        sight = observe_rest(job, progress)
         given = (job.plain(), out, sight)
         said, first = time.monotonic(), 0.0
         missing = [index for index in range(total) if index not in facts]
@@ -307,9 +315,17 @@ def simulate(
             rows = key_nodes(force_model_of(job), samples, noise_px=noise_px)
             samples = inputs_alone(samples, rows)
         names = [name for index in range(total) for name in facts[index]["frames"]]
-        write_samples(out, samples, data_set_info(job), frames=names)
+        write_samples(out, samples, _info(job, sight), frames=names)
         journal.drop()
     return _result(out, samples, total - before, begin)
+
+
+def _info(job: Job, sight: ImagingReference) -> DataSetInfo:
+    """What the data set is, with the rest positions of its print where they can be read."""
+    info = data_set_info(job)
+    if isinstance(sight.rest, str):
+        return info
+    return replace(info, notes=info.notes | rest_note(sight.rest.rest_px))
 
 
 def finished_data_set(out: Path, job: Job, *, force: bool) -> Samples | None:

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import design_hash
@@ -27,6 +29,7 @@ from phytac_design.training.training_data import (
     read_data_sets,
     split_data_sets,
 )
+from phytac_shapes.arrays import FloatArray
 
 TABLE = "training.json"
 FORMAT, SCHEMA = "phytac-training", "1.0"
@@ -102,6 +105,7 @@ def train(
             design=design.name,
             design_hash=design_hash(design),
             regions=design_regions(design),
+            learnt_rest_px=_learnt_rest(sets, context.markers.count),
         )
         for item in sets:
             check_inputs(item, plain.model, accuracy)
@@ -150,6 +154,15 @@ def _notes(
     if start is not None and first is not None:
         notes["start"] = {"design": first.design, "sha256": bundle_hash(start)}
     return notes
+
+
+def _learnt_rest(sets: Sequence[DataSet], markers: int) -> FloatArray:
+    """Return rest positions (k, n, 2) of the prints; none if one of them is not known."""
+    each = [item.meta.rest_px for item in sets]
+    known = [rest_px for rest_px in each if rest_px is not None]
+    if len(known) < len(each):
+        return np.zeros((0, markers, 2))
+    return np.unique(np.stack(known), axis=0)
 
 
 def run_trainers(

@@ -126,6 +126,14 @@ class ContactLocator:
         first = np.ascontiguousarray(self.places.shift_px[:, :1])
         return replace(self, places=replace(self.places, shift_px=first, pairs=None, walls=None))
 
+    def for_another_print(self) -> "ContactLocator":
+        """The same for a print of unknown stiffness, if it was fitted to one."""
+        fitted = self.correction
+        if fitted is None:
+            return self
+        scale = 1.0 / fitted.stiffness if fitted.stiffness else 1.0
+        return replace(self, places=self.places.scaled(scale), correction=None)
+
     @cached_property
     def _rows(self) -> FloatArray:
         """Linear shifts (n, 2n) by a newton on each marker."""

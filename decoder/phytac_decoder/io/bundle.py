@@ -57,7 +57,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 14), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 15), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -125,6 +125,10 @@ class Bundle:
     turned_deg : float
         Angle by which the shell sits turned about the axis against the design, where reference
         marks show it.
+    learnt_rest_px : (k, n, 2) float
+        Rest positions of the prints that it was trained on, NaN where a marker was not found.
+    other_print_mm : float
+        How far markers are from there, where the rest frame shows another print; 0 for the same.
     notes : dict
         Provenance: training data, seconds, accuracy. The decoder uses only ``scene``.
     """
@@ -149,6 +153,8 @@ class Bundle:
     marks: ReferenceMarks = field(default_factory=ReferenceMarks)
     covers: TipCovers = field(default_factory=TipCovers)
     turned_deg: float = 0.0
+    learnt_rest_px: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    other_print_mm: float = 0.0
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -283,6 +289,8 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         arrays |= {name: getattr(bundle.marks, name[5:]) for name in MARKS}
     if len(bundle.covers.marker):
         arrays |= {name: getattr(bundle.covers, name[6:]) for name in COVERS}
+    if len(bundle.learnt_rest_px):
+        arrays["learnt_rest_px"] = bundle.learnt_rest_px
     if bundle.shown:
         attributes = ("rest_px", *(f"tips.{attribute}" for attribute in TIPS.values()))
         for name, attribute in zip(SHOWN, attributes, strict=True):
@@ -471,6 +479,8 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         marks=marks,
         # Up to schema 1.13 there were none.
         covers=TipCovers(**{name[6:]: arrays[name] for name in COVERS if name in arrays}),
+        # Up to schema 1.14 there were none.
+        learnt_rest_px=arrays.get("learnt_rest_px", np.zeros((0, count, 2))),
         notes=dict(meta["notes"]),
     )
     check_scene(bundle)

@@ -82,6 +82,7 @@ def check_bundle(
     shapes |= SHOWN if cameras == 2 else {}
     shapes |= MARKS if "mark_point_mm" in arrays else {}
     shapes |= COVERS if "cover_marker" in arrays else {}
+    shapes |= {"learnt_rest_px": ("prints", "n", 2)} if "learnt_rest_px" in arrays else {}
     ids = {"neighbours": (-1, n), "colour": (0, colours), "read_by": (0, cameras)}
     if "mark_point_mm" in arrays:
         r = len(np.atleast_1d(arrays["mark_point_mm"]))
@@ -96,7 +97,7 @@ def check_bundle(
         where=where,
         kinds=dict.fromkeys(ids, np.int64),
         # NaN marks what a camera does not see.
-        partial=("tip_on_px", "shown_rest_px", "shown_tip_on_px", "mark_rest_px"),
+        partial=("tip_on_px", "shown_rest_px", "shown_tip_on_px", "mark_rest_px", "learnt_rest_px"),
     )
     for name, (low, high) in ids.items():
         if arrays[name].min(initial=low) < low or arrays[name].max(initial=low) >= high:

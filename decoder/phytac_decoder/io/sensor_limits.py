@@ -98,6 +98,13 @@ def limits_of(bundle: "Bundle") -> list[str]:
             "this decoder was built before force along the surface was estimated: friction is read "
             "as normal force, or as contacts that do not exist; build and train it again"
         )
+    if bundle.other_print_mm:
+        out.append(
+            f"another-print: markers at rest are {bundle.other_print_mm:.2f} mm (median) from "
+            "those of any print that this decoder was trained on. Prints differ in stiffness: "
+            f"intervals allow for {100.0 * SETTINGS.stiffness_sd:.0f} %; train with data of this "
+            "print"
+        )
     played = markers_in_play(bundle)
     if not played.all():
         out.append(

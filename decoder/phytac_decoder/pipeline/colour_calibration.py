@@ -13,6 +13,7 @@ import numpy as np
 from phytac_decoder.io.bundle import Bundle, CameraView
 from phytac_decoder.pipeline.decode import Frames, locate_in, prepared_frames
 from phytac_decoder.pipeline.light_response import with_light_response
+from phytac_decoder.pipeline.print_identity import for_this_print
 from phytac_decoder.pipeline.shell_turn import oriented
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
@@ -83,7 +84,8 @@ SETTINGS = ColourSettings()
 def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     """Bundle for this sensor in this light: colours, rest positions, tips, response to light.
 
-    What the rest frame does not show stays as it was.
+    What the rest frame does not show stays as it was. A trained decoder recognises the print that
+    it was trained on, see :mod:`phytac_decoder.pipeline.print_identity`.
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         rest_px=read([item.rest_px for item in shown]),
         tips=replace(bundle.tips, on_px=read([item.tips.on_px for item in shown])),
     )
-    return with_light_response(calibrated, rest_frames)
+    return with_light_response(for_this_print(calibrated), rest_frames)
 
 
 def calibrated_colours(bundle: Bundle, frames: Sequence[ImageArray]) -> ColourModel:
