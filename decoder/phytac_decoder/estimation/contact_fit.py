@@ -40,6 +40,10 @@ class FitSettings:
     place_distance_max: float = 0.85
     """Largest distance of a contact from a place, in spacings; half a diagonal is 0.71."""
     force_min_N: float = 0.02
+    place_sds: float = 2.0
+    moments_sds: float = 4.0
+    """Distance of a centre, and of moments, from the prior, over its standard deviations, at which
+    the prior has half of its weight."""
     alike: float = 1.25
     """Factor on predicted noise: errors of neighbouring markers are alike, so that together they
     are worth less. Forces at known places in rendered frames of ``handle`` and ``hemisphere``
@@ -291,7 +295,6 @@ def fit_contacts(
     b = np.zeros(camera_motion.count if camera_motion else 0) if motion is None else motion.copy()
     split = UNKNOWNS * len(states)
     weight = np.zeros((split + len(b), split + len(b)))
-    weight[:split, :split] = np.diag(_prior_sd(states, prior).ravel() ** -2.0)
     if camera_motion:
         weight[split:, split:] = camera_motion.prior
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
@@ -310,7 +313,9 @@ def fit_contacts(
         variance[switched] += noise.switched_px**2
         inverse = np.where(seen.found, 1.0 / variance, 0.0)
         residual = seen.shift_px - total
-        off = np.concatenate([prior_residual(places, states, prior), b])
+        own = prior_residual(places, states, prior)
+        weight[range(split), range(split)] = _prior_weight(states, own, prior)
+        off = np.concatenate([own, b])
         square, settled = float(residual @ (inverse * residual)), False
         if robust or number >= unweighted or change < SETTINGS.step_tolerance:
             square, share = robust_cost(residual, inverse)
@@ -352,6 +357,25 @@ def _prior_sd(states: Sequence[ContactState], prior: ContactPrior) -> FloatArray
             for state in states
         ]
     )
+
+
+def _prior_weight(
+    states: Sequence[ContactState], off: FloatArray, prior: ContactPrior
+) -> FloatArray:
+    """Return the inverse variance (8c,) of contacts' unknowns that are ``off`` (8c,) the prior.
+
+    Hands touch where and with what a prior does not foresee: a rig presses on receptors, with its
+    own indenters. Places and moments far off it count less, by Cauchy's law (Holland and Welsch
+    1977).
+    """
+    weight = _prior_sd(states, prior).reshape(-1, UNKNOWNS) ** -2.0
+    square = off.reshape(weight.shape) ** 2 * weight
+    for own, sds in (
+        (slice(1, 3), SETTINGS.place_sds),
+        (slice(3, SHEAR_START), SETTINGS.moments_sds),
+    ):
+        weight[:, own] /= 1.0 + square[:, own].sum(axis=1, keepdims=True) / sds**2
+    return np.asarray(weight.ravel())
 
 
 def robust_cost(residual_px: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:

@@ -150,6 +150,8 @@ class FrameMeasurement:
             koi = np.flatnonzero(forces_N)
         motion = FaultDetector(bundle, shift_px, koi, found)
         weak = motion.switches_without_force(forces_N)
+        # One that cannot be read and shows no force was not on.
+        weak = weak[bundle.tips.readable[weak] | (forces_N[weak] > 0.0)]
         if len(weak):
             least = bundle.threshold_N[weak].min()
             out.append(

@@ -96,7 +96,8 @@ def read(
         if moved:
             return Reading.none("; ".join(moved), "rest-frame-outdated")
         forces = found.receptor_forces_N(len(measured.shift_px))
-        koi = np.union1d(koi, np.flatnonzero(forces))
+        # Switches that cannot be read are on where a force was found on them.
+        koi = np.union1d(koi[bundle.tips.readable[koi]], np.flatnonzero(forces))
         inverse_N = bundle.model.forces("koi_inverse", measured.shift_px, koi)
         reasons = implausible(bundle, found, inverse_N)
         if reasons:
