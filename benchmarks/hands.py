@@ -1,24 +1,35 @@
-"""The decoder under friction: hands never press without it.
+"""The decoder under contacts as hands make them.
 
-Contacts of the scenario ``platform`` on virtual prints, with and without friction, are read by
-decoders that learnt from either. The same decoder without tables of force along the surface is
-beside it. ::
+Part ``friction``: contacts of the scenario ``platform`` on virtual prints, with and without
+friction, are read by decoders that learnt from either. The same decoder without tables of force
+along the surface is beside it. Part ``elsewhere``: a decoder that learnt from one print reads what
+it has not learnt: other contacts, another stiffness, other prints. ::
 
-    python -m benchmarks.hands [--parts friction] [--quick]
+    python -m benchmarks.hands [--parts friction,elsewhere] [--quick]
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from benchmarks.decoder_data import DataSetSpec, job_of, random_subset, small_design
+from benchmarks.decoder_data import (
+    DataSetSpec,
+    chosen,
+    data_set,
+    job_of,
+    random_subset,
+    set_of,
+    small_design,
+)
 from benchmarks.decoder_evaluation import Evaluation, by_design, evaluate_decoder, mechanics
 from benchmarks.harness import Table, run_parts
 from phytac_decoder.io.bundle import Bundle
+from phytac_design.datasets.samples import FAILED
 from phytac_design.design.accuracy import Preset
-from phytac_design.design.design_file import load_design
+from phytac_design.design.design_file import load_design, parse_design
+from phytac_design.design.spec import Design
 from phytac_design.training.locator_calibration import calibrate_locator
 from phytac_design.training.training_data import DataSet
 from phytac_shapes.arrays import BoolArray, FloatArray
@@ -30,6 +41,39 @@ GHOST_N = 1.0
 """A contact where nothing presses counts from this force on."""
 NEAR_MM = 5.0
 """Largest distance of a located contact from the pressed one that it is compared with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Elsewhere:
+    """What a decoder reads that has learnt ``platform`` on unit 1: that, but for these fields."""
+
+    touch: dict[str, object] = field(default_factory=dict)
+    scenario: str = "platform"
+    unit: int = 1
+    modulus: float = 1.0
+
+
+def _elsewhere(design: Design) -> dict[str, Elsewhere]:
+    """Conditions by name; radii are of the design's training table."""
+    low, high = design.training.patch_radius_min_mm, design.training.patch_radius_max_mm
+    edge = {"kind": "cylinder", "radius_share": 0.2, "length_mm": 12.0}
+    return {
+        "as learnt": Elsewhere(),
+        "patches half as wide": Elsewhere(
+            touch={"radius_min_mm": low / 2, "radius_max_mm": high / 2}
+        ),
+        "patches twice as wide": Elsewhere(
+            touch={"radius_min_mm": 2 * low, "radius_max_mm": 2 * high}
+        ),
+        "edges": Elsewhere(touch={"indenters": [edge]}),
+        "anywhere": Elsewhere(touch={"placement": "anywhere"}),
+        "rims": Elsewhere(touch={"placement": "rims", "multi_share": 0.0}),
+        "friction 0.8": Elsewhere(touch={"friction_min": 0.8}),
+        "nine pads": Elsewhere(scenario="grips"),
+        "modulus +10 %": Elsewhere(modulus=1.1),
+        "modulus -10 %": Elsewhere(modulus=0.9),
+        "another instance": Elsewhere(unit=2),
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,9 +210,88 @@ def _add_rows(table: Table, head: str, judged: Evaluation, *, targets: bool) -> 
     return mean
 
 
+def add_elsewhere(table: Table, *, quick: bool) -> None:
+    """Rows of one decoder that learnt from one print, on what it has not learnt."""
+    accuracy: Preset = "draft" if quick else "standard"
+    design = small_design() if quick else load_design("cylinder60")
+    count, train = (30, 30) if quick else (100, LEARNT)
+    solve: dict[str, object] = {"displacement": "linear"} if quick else {}
+    learn = partial(job_of, unit=1, accuracy=accuracy, solve=solve)
+    job = learn(design, samples=60 if quick else 500, touch={"friction_max": 0.8})
+    training, _ = DataSetSpec(name=f"hands-{design.name}-0.8", job=job, train=train).parts()
+    context = mechanics(design, accuracy)
+    bundle = learnt(by_design(context), random_subset(training, train, seed=0), shear=True)
+    for name, case in _elsewhere(design).items():
+        data = _read_set(design, name, case, samples=count, accuracy=accuracy, solve=solve)
+        judged = evaluate_decoder(context, bundle.model, data, estimators=["auto"])
+        head = f"{design.name} learnt on unit 1, read: {name}"
+        _add_elsewhere_rows(table, head, judged)
+
+
+def _read_set(
+    design: Design,
+    name: str,
+    case: Elsewhere,
+    *,
+    samples: int,
+    accuracy: Preset,
+    solve: dict[str, object],
+) -> DataSet:
+    """Contacts of one condition: on receptors at random, so that none is one that was learnt."""
+    made = replace_modulus(design, case.modulus)
+    touch = {"samples": samples, **({} if case.scenario == "grips" else {"placement": "receptor"})}
+    job = job_of(
+        made,
+        scenario=case.scenario,
+        unit=case.unit,
+        accuracy=accuracy,
+        solve=solve,
+        touch={**touch, **case.touch},
+    )
+    folder = f"hands-{design.name}-{name.replace(' ', '-').replace('%', '')}".rstrip("-")
+    found, meta = data_set(folder, job)
+    data = set_of(folder, found, meta)
+    return chosen(data, np.flatnonzero(found.status != FAILED))
+
+
+def replace_modulus(design: Design, factor: float) -> Design:
+    """The design with the wall's modulus multiplied."""
+    data = design.model_dump(mode="json")
+    data["material"]["modulus_MPa"] *= factor
+    return parse_design(data, design.name)
+
+
+def _add_elsewhere_rows(table: Table, head: str, judged: Evaluation) -> None:
+    """Errors, intervals and what was missed or invented, of one condition."""
+    decoded, claims = judged.decoded, judged.claims
+    share = np.abs(decoded.decoded_N["auto"] - decoded.force_N) / decoded.force_N
+    middle = judged.group("height", "middle")
+    ghosts = claims.nothing_N[claims.nothing_N > GHOST_N]
+    frames = judged.data.samples.count
+    covered = 100.0 * claims.covered
+    wide = 100.0 * float(np.median(claims.sd_N / claims.truth_N))
+    note = (
+        f"{covered:.3g} % of {len(claims.force_N)} contacts; standard deviation {wide:.2g} % of "
+        f"the force; {claims.unmatched} contacts as two or together with another"
+    )
+    case = f"{head}: share within 90 % intervals, distance from 90 %"
+    table.add(case, abs(covered - 90.0), "%", "", "project target", "<= 5", note)
+    for where, mask in (("middle heights", middle), ("whole surface", np.ones_like(middle))):
+        if mask.any():
+            mean = 100.0 * float(share[mask].mean())
+            note = f"{int(mask.sum())} contacts"
+            table.add(f"{head}: {where}, mean relative error", mean, "%", "", "project", None, note)
+    case = f"{head}: contacts over {GHOST_N:g} N where nothing presses, in {frames} frames"
+    note = f"{ghosts.sum():.3g} N in sum"
+    table.add(case, len(ghosts), "", "", "project target", "== 0", note)
+
+
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """Parts of this benchmark."""
-    return {"friction": partial(add_friction, quick=quick)}
+    return {
+        "friction": partial(add_friction, quick=quick),
+        "elsewhere": partial(add_elsewhere, quick=quick),
+    }
 
 
 if __name__ == "__main__":
