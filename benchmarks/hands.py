@@ -10,7 +10,7 @@ it has not learnt: other contacts, another stiffness, other prints. ::
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -26,12 +26,14 @@ from benchmarks.decoder_data import (
 from benchmarks.decoder_evaluation import Evaluation, by_design, evaluate_decoder, mechanics
 from benchmarks.harness import Table, run_parts
 from phytac_decoder.io.bundle import Bundle
-from phytac_design.datasets.samples import FAILED
+from phytac_decoder.pipeline.print_identity import for_this_print
+from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.training.locator_calibration import calibrate_locator
 from phytac_design.training.training_data import DataSet
+from phytac_design.workflows.simulate import observe_rest
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 LEARNT = 200
@@ -51,6 +53,10 @@ class Elsewhere:
     scenario: str = "platform"
     unit: int = 1
     modulus: float = 1.0
+    modulus_within: float = 0.0
+    """Half the range of the modulus, over that of the data, which is drawn for each sample."""
+    stiffness_change: float = 0.0
+    """``--stiffness-change``, as a share."""
 
 
 def _elsewhere(design: Design) -> dict[str, Elsewhere]:
@@ -72,6 +78,7 @@ def _elsewhere(design: Design) -> dict[str, Elsewhere]:
         "nine pads": Elsewhere(scenario="grips"),
         "modulus +10 %": Elsewhere(modulus=1.1),
         "modulus -10 %": Elsewhere(modulus=0.9),
+        "modulus drawn within 10 %": Elsewhere(modulus_within=0.1, stiffness_change=0.06),
         "another instance": Elsewhere(unit=2),
     }
 
@@ -221,9 +228,14 @@ def add_elsewhere(table: Table, *, quick: bool) -> None:
     training, _ = DataSetSpec(name=f"hands-{design.name}-0.8", job=job, train=train).parts()
     context = mechanics(design, accuracy)
     bundle = learnt(by_design(context), random_subset(training, train, seed=0), shear=True)
+    bundle = replace(bundle, learnt_rest_px=_rest_px(design, 1, accuracy)[None])
     for name, case in _elsewhere(design).items():
         data = _read_set(design, name, case, samples=count, accuracy=accuracy, solve=solve)
-        judged = evaluate_decoder(context, bundle.model, data, estimators=["auto"])
+        model = for_this_print(replace(bundle, rest_px=_rest_px(design, case.unit, accuracy))).model
+        assert model.locator is not None
+        locator = replace(model.locator, stiffness_change=case.stiffness_change)
+        model = replace(model, locator=locator)
+        judged = evaluate_decoder(context, model, data, estimators=["auto"])
         head = f"{design.name} learnt on unit 1, read: {name}"
         _add_elsewhere_rows(table, head, judged)
 
@@ -248,10 +260,33 @@ def _read_set(
         solve=solve,
         touch={**touch, **case.touch},
     )
-    folder = f"hands-{design.name}-{name.replace(' ', '-').replace('%', '')}".rstrip("-")
+    same = "as learnt" if case.modulus_within else name
+    folder = f"hands-{design.name}-{same.replace(' ', '-').replace('%', '')}".rstrip("-")
     found, meta = data_set(folder, job)
+    found = _stiffened(found, case.modulus_within)
     data = set_of(folder, found, meta)
     return chosen(data, np.flatnonzero(found.status != FAILED))
+
+
+def _stiffened(samples: Samples, within: float) -> Samples:
+    """Samples of walls whose modulus is drawn: force over modulus is what moves markers."""
+    touches, truth = samples.touches, samples.truth
+    if not within or touches is None or truth is None:
+        return samples
+    factor = np.random.default_rng(5).uniform(1.0 - within, 1.0 + within, samples.count)
+    return replace(
+        samples,
+        touches=replace(touches, force_N=touches.force_N * factor[touches.sample]),
+        truth=replace(truth, force_N=truth.force_N * factor[truth.sample]),
+    )
+
+
+@cache
+def _rest_px(design: Design, unit: int, accuracy: Preset) -> FloatArray:
+    """Rest positions (n, 2) of a print, as its data set would hold them."""
+    found = observe_rest(job_of(design, unit=unit, samples=1, accuracy=accuracy), lambda _: None)
+    assert not isinstance(found.rest, str)
+    return found.rest.rest_px
 
 
 def replace_modulus(design: Design, factor: float) -> Design:

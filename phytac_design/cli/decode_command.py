@@ -25,6 +25,7 @@ from phytac_design.cli.serve_command import (
     RestOption,
     Session,
     SourceArgument,
+    StiffnessOption,
     named_regions,
     open_recorders,
     open_session,
@@ -48,6 +49,7 @@ def decode(
     rest: RestOption = None,
     rest_first: RestFirstOption = 0,
     mount: MountOption = "bench",
+    stiffness_change: StiffnessOption = 2.0,
     estimator: Annotated[
         Estimator | None, typer.Option(help="Force estimator; the decoder's best if not given.")
     ] = None,
@@ -70,7 +72,10 @@ def decode(
     options = {"--csv": csv, "--parquet": parquet, "--record-regions": record_regions}
     files = {option: path for option, path in options.items() if path is not None}
     if not (files or rest_first or follow or fps) and all(map(is_image, frame)):
-        _decode_frame(bundle, frame, rest or [], estimator, regions, design, mount, as_json=as_json)
+        held = {"mount": mount, "stiffness_change": stiffness_change}
+        _decode_frame(
+            bundle, frame, rest or [], estimator, regions, design, as_json=as_json, **held
+        )
         return
     _check_files(files)
     with contextlib.ExitStack() as stack:
@@ -85,6 +90,7 @@ def decode(
             regions=regions,
             design=design,
             mount=mount,
+            stiffness_change=stiffness_change,
             control=control,
             report=say,
             fps=fps,
@@ -108,8 +114,9 @@ def _decode_frame(
     estimator: str | None,
     regions_file: Path | None,
     design: str | None,
-    mount: "Mount",
     *,
+    mount: "Mount",
+    stiffness_change: float,
     as_json: bool,
 ) -> None:
     """One frame of each camera, in full."""
@@ -121,7 +128,7 @@ def _decode_frame(
     from phytac_decoder.pipeline.frame_reading import marker_loads, read
     from phytac_decoder.serving.sensor_loop import check_estimator
 
-    bundle = load_bundle(folder, mount=mount)
+    bundle = load_bundle(folder, mount=mount, stiffness_change=stiffness_change / 100.0)
     chosen = estimator or bundle.model.best
     check_estimator(bundle, chosen)
     regions = named_regions(regions_file, bundle, folder, design)

@@ -42,6 +42,16 @@ RestOption = Annotated[
     list[Path] | None,
     typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
 ]
+StiffnessOption = Annotated[
+    float,
+    typer.Option(
+        "--stiffness-change",
+        help="How much the wall may have softened or stiffened since the decoder was trained, % "
+        "(standard deviation): about 0.5 per kelvin.",
+        min=0.0,
+        max=50.0,
+    ),
+]
 MountOption = Annotated[
     Literal["rigid", "bench", "handheld"],
     typer.Option(
@@ -115,6 +125,7 @@ def serve(
     rest: RestOption = None,
     rest_first: RestFirstOption = 0,
     mount: MountOption = "bench",
+    stiffness_change: StiffnessOption = 2.0,
     drift: DriftOption = True,
     follow: FollowOption = False,
     serial: Annotated[
@@ -156,6 +167,7 @@ def serve(
             regions=regions,
             design=design,
             mount=mount,
+            stiffness_change=stiffness_change,
             drift=drift,
             control=control,
             report=report,
@@ -276,6 +288,7 @@ def open_session(
     regions: Path | None,
     design: str | None,
     mount: "Mount" = "bench",
+    stiffness_change: float = 2.0,
     drift: bool = False,
     control: list[str] | None = None,
     **options: Any,
@@ -288,7 +301,8 @@ def open_session(
     ----------
     stack : ExitStack
         Closes the source.
-    folder, source, estimator, rest, rest_first, follow, regions, design, mount, drift, control
+    folder, source, estimator, rest, rest_first, follow, regions, design, mount, stiffness_change,
+    drift, control
         Of the command line.
     **options
         See :func:`phytac_decoder.io.frame_sources.open_source`.
@@ -310,7 +324,7 @@ def open_session(
     from phytac_decoder.serving.sensor_loop import check_estimator, follow_decoder, frame_decoder
     from phytac_decoder.serving.torn_frames import with_torn_frame_check
 
-    bundle = load_bundle(folder, mount=mount)
+    bundle = load_bundle(folder, mount=mount, stiffness_change=stiffness_change / 100.0)
     named = named_regions(regions, bundle, folder, design)
     cameras = len(bundle.cameras)
     if len(source) != cameras:

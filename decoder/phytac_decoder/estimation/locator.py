@@ -114,6 +114,9 @@ class ContactLocator:
         Switches that the camera cannot read.
     camera_motion : CameraMotion, optional
         Shifts by motion of the cameras since the rest frame.
+    stiffness_change : float
+        Relative standard deviation of the wall's stiffness against that when the correction was
+        fitted.
     """
 
     places: ResponseTable
@@ -126,6 +129,7 @@ class ContactLocator:
     correction: ForceCorrection | None = None
     blind: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     camera_motion: CameraMotion | None = None
+    stiffness_change: float = 0.0
 
     @property
     def linear(self) -> "ContactLocator":
@@ -470,6 +474,7 @@ class ContactLocator:
         else:
             force = raw * self.correction.factor(points, raw, signal)
             spread_N = self.correction.spread_N(force, sd[:, 0])
+            spread_N = np.hypot(spread_N, self.stiffness_change * force)
         for k, state in enumerate(states):
             on, share = koi[owner == k], covered[k, owner == k]
             sure = force[k] >= SETTINGS.unreadable_sd_min * spread_N[k]

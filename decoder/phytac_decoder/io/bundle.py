@@ -325,7 +325,14 @@ def _sha256(folder: Path) -> str:
         return file_digest(file, "sha256").hexdigest()
 
 
-def load_bundle(folder: Path, *, mount: Mount = "bench") -> Bundle:
+STIFFNESS_CHANGE = 0.02
+"""Relative standard deviation of a wall's stiffness against that when its decoder was trained:
+printed polymers lose about 0.5 % per kelvin, and rooms vary by some kelvins."""
+
+
+def load_bundle(
+    folder: Path, *, mount: Mount = "bench", stiffness_change: float = STIFFNESS_CHANGE
+) -> Bundle:
     """Read a bundle; check its version, its sizes and that every number is finite.
 
     Parameters
@@ -334,6 +341,9 @@ def load_bundle(folder: Path, *, mount: Mount = "bench") -> Bundle:
         Folder of ``bundle.json``.
     mount : str
         How firmly the cameras are held against the shell, one of ``MOUNTS``.
+    stiffness_change : float
+        How much the wall's stiffness may have changed since the decoder was trained: a relative
+        standard deviation, which forces then have at least.
 
     Files above 64 MiB (JSON) and 8 GiB are rejected; that of a thousand markers has about 100 MB.
 
@@ -354,6 +364,9 @@ def load_bundle(folder: Path, *, mount: Mount = "bench") -> Bundle:
         ) from error
     try:
         bundle = _assemble(meta, arrays, folder).with_mount(mount)
+        if bundle.model.locator:
+            locator = replace(bundle.model.locator, stiffness_change=stiffness_change)
+            bundle = replace(bundle, model=replace(bundle.model, locator=locator))
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(
             "bundle-invalid",
