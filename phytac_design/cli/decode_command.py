@@ -72,9 +72,16 @@ def decode(
     options = {"--csv": csv, "--parquet": parquet, "--record-regions": record_regions}
     files = {option: path for option, path in options.items() if path is not None}
     if not (files or rest_first or follow or fps) and all(map(is_image, frame)):
-        held = {"mount": mount, "stiffness_change": stiffness_change}
         _decode_frame(
-            bundle, frame, rest or [], estimator, regions, design, as_json=as_json, **held
+            bundle,
+            frame,
+            rest or [],
+            estimator,
+            regions,
+            design,
+            mount=mount,
+            stiffness_change=stiffness_change,
+            as_json=as_json,
         )
         return
     _check_files(files)

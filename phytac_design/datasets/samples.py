@@ -249,7 +249,7 @@ class DataSetInfo:
 
 def rest_note(rest_px: FloatArray) -> dict[str, Any]:
     """Return rest positions (n, 2) px as a note of a data set: they identify the print."""
-    found: BoolArray = np.isfinite(rest_px).all(axis=1)
+    found = np.asarray(np.isfinite(rest_px).all(axis=1))
     pairs = np.round(rest_px, 3).tolist()
     return {"rest_px": [pair if seen else None for pair, seen in zip(pairs, found, strict=True)]}
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera_motion import MARKED, MOTION_UNKNOWNS, tabulate_camera_motion
 from phytac_decoder.io.bundle import Bundle
-from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.arrays import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ def print_gap_mm(bundle: Bundle, rest_px: FloatArray) -> float | None:
 
 def _gap_mm(bundle: Bundle, moved_px: FloatArray) -> float | None:
     """Return the median distance of markers moved by (n, 2) px, less the motion of cameras."""
-    found: BoolArray = np.isfinite(moved_px).all(axis=1)
+    found = np.asarray(np.isfinite(moved_px).all(axis=1))
     if np.count_nonzero(found) < SETTINGS.markers_min * len(bundle.cameras):
         return None
     table = tabulate_camera_motion(bundle.cameras, bundle.read_by, bundle.head_mm, MARKED)

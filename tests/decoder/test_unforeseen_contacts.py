@@ -1,0 +1,102 @@
+"""Contacts that the priors of a decoder do not foresee: elsewhere, larger, on a softer wall."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phytac_decoder.estimation import contact_fit
+from phytac_decoder.estimation.contact_estimates import LocatedContact
+from phytac_decoder.estimation.force_correction import ForceCorrection
+from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
+from phytac_decoder.io.bundle import STIFFNESS_CHANGE, load_bundle, save_bundle
+from phytac_shapes.arrays import FloatArray
+from tests.decoder.flat_sensor import DISC, MARKERS, flat_locator, nearest, shifts
+from tests.decoder.test_bundle_locator import bundle
+
+AT = np.array([27.0, 33.0, 0.0])
+
+
+def find(locator: ContactLocator, at: FloatArray, moments: FloatArray = DISC) -> LocatedContact:
+    """The contact of 10 N at a point, on the switch of marker 54."""
+    seen = shifts(at, 10.0, moments) + np.random.default_rng(2).normal(0, 0.02, 2 * len(MARKERS))
+    (found,) = locator.find(seen.reshape(-1, 2), np.array([nearest(AT)])).contacts
+    return found
+
+
+def rigid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Priors that count fully however far a contact is from them."""
+    settings = replace(contact_fit.SETTINGS, place_sds=1e6, moments_sds=1e6)
+    monkeypatch.setattr(contact_fit, "SETTINGS", settings)
+
+
+def test_a_centre_far_from_its_prior_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The prior of a rig that presses on receptors, and noise as large as beside a rim.
+    locator = replace(
+        flat_locator(place_mm=0.15), noise=replace(flat_locator().noise, centroid_px=0.3)
+    )
+    at = AT + np.array([3.0, 0.0, 0.0])
+    free = find(locator, at)
+    rigid(monkeypatch)
+    held = find(locator, at)
+    off = [float(np.linalg.norm(one.point_mm - at)) for one in (free, held)]
+    assert off[0] < 0.5 * off[1]
+    assert free.sd_mm[0] > 1.2 * held.sd_mm[0]
+
+
+def test_a_larger_contact_than_learnt_is_read_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    prior = contact_fit.ContactPrior(place_mm=1.5, moments_sd_mm2=(0.5, 0.5, 0.5))
+    locator = replace(flat_locator(noise_px=0.1), prior=prior)
+    free = find(locator, AT, 3.0 * DISC)
+    rigid(monkeypatch)
+    held = find(locator, AT, 3.0 * DISC)
+    assert abs(free.force_N - 10.0) < 0.6 * abs(held.force_N - 10.0)
+
+
+def test_an_unknown_shape_widens_the_interval_of_a_large_contact() -> None:
+    excess = []
+    for moments in (DISC, 3.0 * DISC, np.array([3.0, 0.0, 1.0]) * DISC):
+        found = find(flat_locator(), AT, moments)
+        # Of a strip, its longer moment.
+        excess.append(max(float(found.moments_mm2[0] / DISC[0]), 0.0))
+        shape = SETTINGS.extent_share * excess[-1] * found.raw_N
+        assert shape <= found.raw_sd_N < shape + 0.08
+    assert excess == pytest.approx([0.0, 2.0, 2.0], abs=0.4)
+
+
+def learnt(locator: ContactLocator) -> ContactLocator:
+    """As fitted to data, exactly."""
+    fitted = ForceCorrection.plain(low_mm=np.zeros(3), size_mm=60.0, force_max_N=25.0)
+    return replace(locator, correction=fitted)
+
+
+def test_a_wall_that_changes_after_training_widens_intervals() -> None:
+    locator = learnt(flat_locator())
+    found = [find(replace(locator, stiffness_change=share), AT) for share in (0.0, 0.06)]
+    assert found[0].force_N == found[1].force_N
+    wider = np.sqrt(found[1].sd_N ** 2 - found[0].sd_N ** 2)
+    assert wider == pytest.approx(0.06 * found[0].force_N, rel=1e-6)
+
+
+def test_a_bundle_expects_the_change_that_it_is_given(tmp_path: Path) -> None:
+    save_bundle(bundle(), tmp_path)
+    for given, expected in (({}, STIFFNESS_CHANGE), ({"stiffness_change": 0.1}, 0.1)):
+        locator = load_bundle(tmp_path, **given).model.locator
+        assert locator is not None
+        assert locator.stiffness_change == expected
+
+
+def test_an_unreadable_switch_needs_a_force_that_is_sure() -> None:
+    """In another light a switch that cannot be read seems on."""
+    marker = nearest(AT)
+    locator = replace(flat_locator(noise_px=0.3), blind=np.array([marker]))
+    noise = np.random.default_rng(3).normal(0, 0.3, (len(MARKERS), 2))
+    seen = shifts(AT, 0.3).reshape(-1, 2) + noise
+    assert not locator.find(seen, np.array([marker])).contacts
+    (read,) = (
+        replace(locator, blind=np.zeros(0, dtype=np.int64)).find(seen, np.array([marker])).contacts
+    )
+    assert 0.0 < read.force_N < SETTINGS.unreadable_sd_min * read.sd_N
+    (sure,) = locator.find(shifts(AT, 10.0).reshape(-1, 2) + noise, np.array([marker])).contacts
+    assert sure.markers.tolist() == [marker]
