@@ -44,6 +44,8 @@ class FitSettings:
     moments_sds: float = 4.0
     """Distance of a centre, and of moments, from the prior, over its standard deviations, at which
     the prior has half of its weight."""
+    prior_growth_max: float = 3.0
+    """Largest growth of the prior's variance, less 1: a contact has not left its switches."""
     alike: float = 1.25
     """Factor on predicted noise: errors of neighbouring markers are alike, so that together they
     are worth less. Forces at known places in rendered frames of ``handle`` and ``hemisphere``
@@ -365,16 +367,19 @@ def _prior_weight(
     """Return the inverse variance (8c,) of contacts' unknowns that are ``off`` (8c,) the prior.
 
     Hands touch where and with what a prior does not foresee: a rig presses on receptors, with its
-    own indenters. Places and moments far off it count less, by Cauchy's law (Holland and Welsch
-    1977).
+    own indenters. Of contacts with a switch, places and moments far off it count less, by Cauchy's
+    law (Holland and Welsch 1977).
     """
     weight = _prior_sd(states, prior).reshape(-1, UNKNOWNS) ** -2.0
     square = off.reshape(weight.shape) ** 2 * weight
+    switched = np.array([[len(state.markers) > 0] for state in states], dtype=np.float64)
+    switched = switched.reshape(-1, 1)
     for own, sds in (
         (slice(1, 3), SETTINGS.place_sds),
         (slice(3, SHEAR_START), SETTINGS.moments_sds),
     ):
-        weight[:, own] /= 1.0 + square[:, own].sum(axis=1, keepdims=True) / sds**2
+        far = square[:, own].sum(axis=1, keepdims=True) / sds**2
+        weight[:, own] /= 1.0 + switched * np.minimum(far, SETTINGS.prior_growth_max)
     return np.asarray(weight.ravel())
 
 
