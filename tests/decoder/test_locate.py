@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.estimation import locator
+from phytac_decoder.estimation import locator as locator_module
 from phytac_decoder.estimation.contact_estimates import LocatedContact
 from phytac_decoder.estimation.contact_fit import SETTINGS as FIT_SETTINGS
 from phytac_decoder.estimation.contact_fit import ShiftObservation, robust_cost
@@ -294,7 +295,10 @@ def test_without_switches_nothing_is_solved() -> None:
     assert not found.receptor_forces_N(COUNT).any()
 
 
-def test_spread_is_that_of_many_noisy_frames() -> None:
+def test_spread_is_that_of_many_noisy_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    # These contacts have the shape of the tables'.
+    known_shape = replace(locator_module.SETTINGS, extent_share=0.0)
+    monkeypatch.setattr(locator_module, "SETTINGS", known_shape)
     locator = replace(LOCATOR, noise=replace(LOCATOR.noise, share=0.0))
     rng = np.random.default_rng(1)
     error, said = [], []
