@@ -20,6 +20,7 @@ import typer
 from typer.testing import CliRunner
 
 from phytac_decoder.estimation.force_regions import Region
+from phytac_decoder.io import bundle as bundle_module
 from phytac_decoder.io.bundle import save_bundle
 from phytac_decoder.serving.sensor_loop import Progress
 from phytac_design.cli import decode_command
@@ -66,6 +67,19 @@ def run(*words: object) -> tuple[str, str]:
 
 def rows_of(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines()))
+
+
+@pytest.mark.parametrize("csv_file", [False, True])
+def test_a_changed_stiffness_reaches_the_decoder(
+    toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, csv_file: bool
+) -> None:
+    given, load = [], bundle_module.load_bundle
+    monkeypatch.setattr(
+        bundle_module, "load_bundle", lambda *a, **k: given.append(k) or load(*a, **k)
+    )
+    words = [toy / "decoder", toy / "frames" / "frame_2.png", "--stiffness-change", "7"]
+    run(*words, *(["--csv", tmp_path / "out.csv"] if csv_file else []))
+    assert given[0]["stiffness_change"] == pytest.approx(0.07)
 
 
 def test_one_image_is_printed_in_full(toy: Path) -> None:

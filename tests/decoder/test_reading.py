@@ -204,6 +204,25 @@ def test_forces_on_unreadable_switches_are_sent(
     assert sent["total_N"] == 5.0
 
 
+def test_an_unreadable_switch_without_force_is_not_on(
+    pressed: tuple[Bundle, FrameMeasurement], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle, measured = pressed
+    seems_on = int(np.setdiff1d(np.arange(len(measured.found)), measured.koi)[0])
+    measured = replace(measured, koi=np.union1d(measured.koi, [seems_on]))
+    readable = read(bundle, measured, "auto")
+    assert seems_on in readable.koi
+    assert any("show no force" in text for text in readable.warnings)
+    red = bundle.tips.red_rest_px.copy()
+    red[seems_on] = bundle.tips.red_on_px[seems_on]
+    bundle = replace(bundle, tips=replace(bundle.tips, red_rest_px=red))
+    locator = replace(bundle.model.locator, blind=np.array([seems_on]))
+    bundle = replace(bundle, model=replace(bundle.model, locator=locator))
+    got = read(bundle, measured, "auto")
+    assert seems_on not in got.koi
+    assert not any("show no force" in text for text in got.warnings)
+
+
 def test_the_net_force_acts_along_the_surfaces_normals(
     pressed: tuple[Bundle, FrameMeasurement], built: BuildResult
 ) -> None:

@@ -65,6 +65,21 @@ def test_an_unknown_shape_widens_the_interval_of_a_large_contact() -> None:
     assert excess == pytest.approx([0.0, 2.0, 2.0], abs=0.4)
 
 
+def test_only_contacts_on_switches_leave_their_prior_and_not_far() -> None:
+    prior = contact_fit.ContactPrior(place_mm=1.0)
+    switched = contact_fit.initial_state(
+        flat_locator().places, prior, AT, 5.0, markers=np.array([nearest(AT)])
+    )
+    alone = replace(switched, markers=np.zeros(0, dtype=np.int64))
+    usual = contact_fit._prior_sd([switched], prior).ravel() ** -2.0
+    far = np.zeros(8)
+    far[[1, 3]] = 100.0
+    left = contact_fit._prior_weight([switched, alone], np.tile(far, 2), prior)
+    np.testing.assert_array_equal(left[8:], usual)
+    yields = np.r_[1.0, np.full(5, 1.0 + contact_fit.SETTINGS.prior_growth_max), 1.0, 1.0]
+    np.testing.assert_allclose(left[:8], usual / yields)
+
+
 def learnt(locator: ContactLocator) -> ContactLocator:
     """As fitted to data, exactly."""
     fitted = ForceCorrection.plain(low_mm=np.zeros(3), size_mm=60.0, force_max_N=25.0)

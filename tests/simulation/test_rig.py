@@ -341,6 +341,13 @@ def test_rest_samples_have_no_contacts(bring: Import) -> None:
     assert np.abs(samples.shift_px[0]).max() < 1e-9
 
 
+def test_rest_frames_identify_the_print(bring: Import, bundle: Path) -> None:
+    rest_px, expected = bring().meta.rest_px, load_bundle(bundle).rest_px
+    assert rest_px is not None
+    assert np.nanmax(np.abs(rest_px - expected)) < 1.0
+    assert np.isfinite(rest_px).all(axis=1).mean() > 0.9
+
+
 def test_nothing_is_left_where_writing_fails(
     bring: Import, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
