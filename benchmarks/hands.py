@@ -223,8 +223,9 @@ def add_elsewhere(table: Table, *, quick: bool) -> None:
     design = small_design() if quick else load_design("cylinder60")
     count, train = (30, 30) if quick else (100, LEARNT)
     solve: dict[str, object] = {"displacement": "linear"} if quick else {}
-    learn = partial(job_of, unit=1, accuracy=accuracy, solve=solve)
-    job = learn(design, samples=60 if quick else 500, touch={"friction_max": 0.8})
+    touch: dict[str, object] = {"friction_max": 0.8}
+    total = 60 if quick else 500
+    job = job_of(design, unit=1, samples=total, accuracy=accuracy, touch=touch, solve=solve)
     training, _ = DataSetSpec(name=f"hands-{design.name}-0.8", job=job, train=train).parts()
     context = mechanics(design, accuracy)
     bundle = learnt(by_design(context), random_subset(training, train, seed=0), shear=True)

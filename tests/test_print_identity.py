@@ -16,7 +16,7 @@ from phytac_decoder.pipeline.decode import measure_frame
 from phytac_decoder.pipeline.frame_reading import read
 from phytac_decoder.pipeline.print_identity import SETTINGS, for_this_print, print_gap_mm
 from phytac_design.datasets.samples import DataSetInfo, rest_note
-from phytac_design.datasets.samples_file import write_samples
+from phytac_design.datasets.samples_file import read_samples, write_samples
 from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
 from phytac_design.stages.build import BuildResult, run_stages, select_stages
@@ -174,6 +174,16 @@ def test_what_is_no_rest_position_is_refused() -> None:
             _ = replace(meta, notes={"rest_px": stored}).rest_px
     known = replace(meta, notes=rest_note(np.array([[1.0, 2.0], [np.nan, 1.0]]))).rest_px
     np.testing.assert_array_equal(known, [[1.0, 2.0], [np.nan, np.nan]])
+
+
+def test_rest_positions_of_other_markers_are_refused(plain: Bundle, tmp_path: Path) -> None:
+    uv = make_markers(DESIGN, DESIGN.surface()).uv
+    samples = presses(plain.model, uv, count=3, seed=0)
+    meta = meta_of("tiny", HASH)
+    notes = meta.notes | rest_note(rest_of(plain, 1)[:5])
+    write_samples(tmp_path / "data", samples, replace(meta, notes=notes))
+    with refused("data-set-table-invalid"):
+        read_samples(tmp_path / "data")
 
 
 def test_a_damaged_array_is_refused(built: BuildResult, tmp_path: Path) -> None:

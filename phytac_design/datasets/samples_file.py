@@ -557,6 +557,7 @@ def read_samples(
         meta = _meta(table)
         reasons = tuple(_text(reason) for reason in _list(table["reasons"]))
         _check_words(table)
+        _check_rest(meta, counts)
         memory = sum(8 * int(np.prod(shape_of(name, counts), dtype=object)) for name in names)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
@@ -684,6 +685,12 @@ def _check_words(table: Mapping[str, Any]) -> None:
             raise ValueError(f"{name} are {table[name]}, expected {list(known)}")
     if "samples" not in table["parts"] or not set(_list(table["parts"])) <= set(PARTS):
         raise ValueError(f"parts are {table['parts']}, known: {', '.join(PARTS)}")
+
+
+def _check_rest(meta: DataSetInfo, counts: Mapping[str, int]) -> None:
+    """Check that rest positions, if there are any, are of all markers."""
+    if meta.rest_px is not None and len(meta.rest_px) != counts["markers"]:
+        raise ValueError(f"notes.rest_px is of {len(meta.rest_px)} markers")
 
 
 def _read_file(folder: Path, table: Mapping[str, Any]) -> bytes:

@@ -150,7 +150,7 @@ def _for_prints(
     """Return the decoder as it reads the prints of the data, with a warning for another one."""
     for item in sets:
         rest_px = item.meta.rest_px
-        if rest_px is not None and len(rest_px) == len(decoder.colour):
+        if rest_px is not None:
             decoder = for_this_print(replace(decoder, rest_px=rest_px))
     if decoder.other_print_mm:
         progress(

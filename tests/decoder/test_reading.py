@@ -221,6 +221,7 @@ def test_an_unreadable_switch_without_force_is_not_on(
     got = read(bundle, measured, "auto")
     assert seems_on not in got.koi
     assert not any("show no force" in text for text in got.warnings)
+    assert any("a weak press there may be missing" in text for text in got.warnings)
 
 
 def test_the_net_force_acts_along_the_surfaces_normals(

@@ -38,8 +38,7 @@ class ForceCorrection:
     lengths : (3,) float
         Length scales of the features.
     stiffness : float
-        Stiffness of the print that the tables were scaled to, over that of the design; 0 where it
-        is not known.
+        Stiffness of the print that the tables were scaled to, over that of the design.
     """
 
     centre: FloatArray
@@ -50,7 +49,7 @@ class ForceCorrection:
     spread: float = 1.0
     spread_share: float = 0.0
     lengths: Lengths = LEGACY_LENGTHS
-    stiffness: float = 0.0
+    stiffness: float = 1.0
 
     @classmethod
     def plain(cls, *, low_mm: FloatArray, size_mm: float, force_max_N: float) -> "ForceCorrection":

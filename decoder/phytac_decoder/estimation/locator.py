@@ -142,8 +142,7 @@ class ContactLocator:
         fitted = self.correction
         if fitted is None:
             return self
-        scale = 1.0 / fitted.stiffness if fitted.stiffness else 1.0
-        return replace(self, places=self.places.scaled(scale), correction=None)
+        return replace(self, places=self.places.scaled(1.0 / fitted.stiffness), correction=None)
 
     @cached_property
     def _rows(self) -> FloatArray:

@@ -170,8 +170,8 @@ def locator_from(
             spread=number(stored["spread"], positive=True),
             spread_share=number(stored["spread_share"]),
             lengths=tuple(lengths),
-            # Up to schema 1.14 it was not stored.
-            stiffness=number(stored.get("stiffness", 0.0)),
+            # Up to schema 1.14 it was not stored, and nothing used it.
+            stiffness=number(stored.get("stiffness", 1.0), positive=True),
         )
     prior, noise = table["prior"], table["noise"]
     radius_mm = number(table["radius_mm"], positive=True)

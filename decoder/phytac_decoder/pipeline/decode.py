@@ -150,8 +150,13 @@ class FrameMeasurement:
             koi = np.flatnonzero(forces_N)
         motion = FaultDetector(bundle, shift_px, koi, found)
         weak = motion.switches_without_force(forces_N)
-        # One that cannot be read and shows no force was not on.
-        weak = weak[bundle.tips.readable[weak] | (forces_N[weak] > 0.0)]
+        doubtful = self.koi[~bundle.tips.readable[self.koi] & (forces_N[self.koi] == 0.0)]
+        if len(doubtful) and found:
+            out.append(
+                f"{len(doubtful)} switches that cannot be read ({id_list(doubtful)}) seem on, and "
+                "the markers do not show it clearly: a weak press there may be missing"
+            )
+            weak = np.setdiff1d(weak, doubtful)
         if len(weak):
             least = bundle.threshold_N[weak].min()
             out.append(
