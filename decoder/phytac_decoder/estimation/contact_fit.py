@@ -372,8 +372,7 @@ def _prior_weight(
     """
     weight = _prior_sd(states, prior).reshape(-1, UNKNOWNS) ** -2.0
     square = off.reshape(weight.shape) ** 2 * weight
-    switched = np.array([[len(state.markers) > 0] for state in states], dtype=np.float64)
-    switched = switched.reshape(-1, 1)
+    switched = np.reshape([float(len(state.markers) > 0) for state in states], (-1, 1))
     for own, sds in (
         (slice(1, 3), SETTINGS.place_sds),
         (slice(3, SHEAR_START), SETTINGS.moments_sds),

@@ -327,7 +327,7 @@ def _sha256(folder: Path) -> str:
 
 STIFFNESS_CHANGE = 0.02
 """Relative standard deviation of a wall's stiffness against that when its decoder was trained:
-printed polymers lose about 0.5 % per kelvin, and rooms vary by some kelvins."""
+it is assumed that printed polymers lose 0.5 % per kelvin, and that rooms vary by some kelvins."""
 
 
 def load_bundle(
