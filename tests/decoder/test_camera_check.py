@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from phytac_decoder.io.bundle import save_bundle
+from phytac_decoder.io.bundle import Bundle, save_bundle
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.serving.camera_check import CameraCheck
 from phytac_decoder.vision.picture_quality import picture_quality
@@ -22,7 +22,7 @@ from tests.decoder.test_two_views import pair
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
 from tests.decoder.virtual_camera import VirtualWorld, install
 
-IDLE = toy_frame()
+IDLE, TOY = toy_frame(), toy_bundle()
 NOISE = np.random.default_rng(0)
 FINE = 8
 
@@ -71,9 +71,13 @@ def moved(image: ImageArray, shift_px: float) -> ImageArray:
 
 
 def checked(
-    picture: Callable[[int], ImageArray], *, rate: float = 20.0, fps: float | None = None
+    picture: Callable[[int], ImageArray],
+    *,
+    rate: float = 20.0,
+    fps: float | None = None,
+    bundle: Bundle = TOY,
 ) -> CameraCheck:
-    check = CameraCheck(toy_bundle(), fps=fps)
+    check = CameraCheck(bundle, fps=fps)
     for number in range(round(4.0 * rate)):
         frame = Frame(
             number=number, timestamp_s=number / rate, images=(picture(number),), ready_s=0.0
@@ -117,15 +121,22 @@ def test_a_good_picture_is_ready() -> None:
             lambda _: np.asarray(cv2.cvtColor(cv2.cvtColor(IDLE, 6), 8)),
             "markers not readable: 0 of ",
         ),
-        (
-            lambda _: np.clip(IDLE + NOISE.normal(0, 26.0, IDLE.shape), 0, 255).astype(np.uint8),
-            "noisy",
-        ),
     ],
 )
 def test_each_fault_is_named(picture: Callable[[int], ImageArray], words: str) -> None:
     problems = checked(picture).problems()
     assert any(words in text for text in problems), problems
+
+
+def test_noise_is_named() -> None:
+    rng = np.random.default_rng(3)
+
+    def noisy(_: int) -> ImageArray:
+        return np.clip(IDLE + rng.normal(0.0, 20.0, IDLE.shape), 0, 255).astype(np.uint8)
+
+    fine = replace(TOY, noise_centroid_px=0.015)
+    assert any("noisy" in text for text in checked(noisy, bundle=fine).problems())
+    assert not any("noisy" in text for text in checked(noisy).problems())
 
 
 def test_rate_and_damaged_frames_are_named() -> None:

@@ -388,6 +388,16 @@ def test_switches_have_hysteresis() -> None:
     assert read(0.50, 5) == []
 
 
+def test_switches_are_read_in_less_light() -> None:
+    follower = Follower(make_bundle(), draw(REST))
+    bits = np.arange(COUNT) == 60
+    frame = draw(REST, bits, tip_radius=TIP_RADIUS * np.sqrt(0.7))
+    for light in (1.0, 0.7):
+        dim = np.rint(light * frame.astype(np.float64)).astype(np.uint8)
+        assert follower.follow(dim).koi.tolist() == [60]
+        assert follower.follow(draw(REST)).koi.tolist() == []
+
+
 def test_every_other_pixel_is_nearly_as_good() -> None:
     places = press_and_slide(15, np.array([4.0, 3.0]))
     whole, some = (Follower(make_bundle(), draw(REST), stride=stride) for stride in (1, 2))

@@ -1,11 +1,19 @@
 """Segmentation, matching and the digital channel on images with a known answer."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from phytac_decoder.vision.matching import match_markers, nearest_same_colour_px
-from phytac_decoder.vision.segmentation import ColourModel, check_image, segment
+from phytac_decoder.vision.segmentation import (
+    Blobs,
+    ColourModel,
+    check_image,
+    segment,
+    segment_in_its_light,
+)
 from phytac_decoder.vision.switch_detection import TipModel, read_switches
 from phytac_shapes.arrays import FloatArray
 from tests.refusals import refused
@@ -194,3 +202,51 @@ def test_switch_bits_follow_the_red() -> None:
     image[36:45, 100:112] = GREY  # half of the second tip is still in its hole
     bits = read_switches(segment(image, MODEL), tips, red_index=2, shift_px=np.zeros((3, 2)))
     assert bits.tolist() == [True, False, False]
+
+
+def test_less_light_is_followed() -> None:
+    """A tip that is a little above its threshold stays above it in less light."""
+    places = [(30.0 + 24.0 * k, 40.0) for k in range(4)]
+    tips = TipModel(
+        on_px=np.array([(x, 80.0) for x, _ in places]),
+        red_rest_px=np.zeros(4),
+        red_on_px=np.full(4, 130.0),
+    )
+    paints = ["blue", "green", "blue", "green"]
+    rest = segment(discs(places, paints), MODEL)
+    model = replace(MODEL, usual_weight=rest.usual_weight(3))
+    bright = discs([*places, *tips.on_px[:2].tolist()], [*paints, "red", "red"])
+    dim = np.rint(0.72 * bright).astype(np.uint8)
+
+    def bits(blobs: Blobs) -> list[bool]:
+        return read_switches(blobs, tips, red_index=2, shift_px=np.zeros((4, 2))).tolist()
+
+    assert model.light(segment(dim, model)) == pytest.approx(0.72, abs=0.06)
+    for image in (bright, dim):
+        assert bits(segment_in_its_light(image, model)) == [True, True, False, False]
+    assert not any(bits(segment(dim, model)))
+
+
+def test_light_is_that_of_paint_without_tips() -> None:
+    image = discs([(30.0, 40.0), (60.0, 40.0)], ["blue", "red"], radius=5.0)
+    rest = segment(discs([(30.0, 40.0)], ["blue"], radius=5.0), MODEL).usual_weight(3)
+    assert np.isnan(rest[2])
+    model = replace(MODEL, usual_weight=rest)
+    assert model.light(segment(image, model)) == pytest.approx(1.0, abs=0.01)
+    assert model.in_light(1.01) is model
+    assert MODEL.light(segment(image, MODEL)) == 1.0
+
+
+def test_red_that_shows_at_rest_is_measured_there() -> None:
+    tips = TipModel(
+        on_px=np.zeros((4, 2)),
+        red_rest_px=np.array([500.0, 400.0, 300.0, 2.0]),
+        red_on_px=np.array([600.0, 460.0, 350.0, 40.0]),
+    )
+    measured = tips.as_at_rest(np.array([550.0, 360.0, 900.0, 20.0]))
+    assert measured.red_rest_px.tolist() == [550.0, 360.0, 375.0, 2.0]
+    assert measured.red_on_px == pytest.approx([660.0, 414.0, 437.5, 40.0])
+    # One tip of three is out, in 10 % more light on red paint.
+    light = measured.red_light(1.1 * np.array([660.0, 360.0, 375.0, 0.0]))
+    assert light == pytest.approx(1.1)
+    assert replace(tips, red_rest_px=np.zeros(4)).red_light(np.zeros(4)) == 1.0

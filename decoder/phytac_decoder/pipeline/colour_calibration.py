@@ -16,6 +16,7 @@ from phytac_decoder.pipeline.light_response import with_light_response
 from phytac_decoder.pipeline.print_identity import for_this_print
 from phytac_decoder.pipeline.shell_turn import oriented
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
+from phytac_decoder.vision.switch_detection import TipModel, red_areas
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
@@ -102,15 +103,19 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     frames = prepared_frames(bundle, rest_frames)
     lit = oriented(replace(bundle, colours=calibrated_colours(bundle, frames)), frames)
     shown, count, marks_px = [], len(bundle.colour), lit.marks.rest_px
+    weights = []
     for number, frame in enumerate(frames):
         old = lit.shown_by(number)
-        matched, _ = locate_in(lit, number, frame)
+        matched, blobs = locate_in(lit, number, frame)
+        weights.append(blobs.usual_weight(len(lit.colours.names)))
         moved = np.where(
             matched.found[:, None], matched.position_px - lit.spots_shown_by(number), 0
         )
         move, of_marks = moved[:count], moved[count:]
         marks_px = marks_px + of_marks
         tips = replace(old.tips, on_px=old.tips.on_px + move)
+        red = lit.colours.names.index("red")
+        tips = tips.as_at_rest(red_areas(blobs, tips, red_index=red, shift_px=np.zeros_like(move)))
         shown.append(CameraView(rest_px=old.rest_px + move, tips=tips))
     own = np.arange(len(bundle.colour))
 
@@ -119,10 +124,16 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
 
     calibrated = replace(
         lit,
+        colours=replace(lit.colours, usual_weight=np.mean(weights, axis=0)),
         shown=tuple(shown) if bundle.shown else (),
         marks=replace(lit.marks, rest_px=marks_px),
         rest_px=read([item.rest_px for item in shown]),
-        tips=replace(bundle.tips, on_px=read([item.tips.on_px for item in shown])),
+        tips=TipModel(
+            **{
+                name: read([getattr(item.tips, name) for item in shown])
+                for name in ("on_px", "red_rest_px", "red_on_px")
+            }
+        ),
     )
     return with_light_response(for_this_print(calibrated), rest_frames)
 

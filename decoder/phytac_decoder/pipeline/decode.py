@@ -12,7 +12,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_words
 from phytac_decoder.pipeline.fault_detection import FaultDetector
 from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers
-from phytac_decoder.vision.segmentation import Blobs, check_image, segment
+from phytac_decoder.vision.segmentation import Blobs, check_image, segment_in_its_light
 from phytac_decoder.vision.switch_detection import read_switches
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
@@ -287,7 +287,7 @@ def locate_in(
     """
     camera = bundle.cameras[number]
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
-    blobs = segment(image_bgr, bundle.colours)
+    blobs = segment_in_its_light(image_bgr, bundle.colours)
     blobs_max = 8.0  # per marker, of a frame of the sensor
     if len(blobs.colour) > blobs_max * len(bundle.colour):
         raise InputError(

@@ -23,8 +23,14 @@ from phytac_decoder.pipeline.decode import (
     prepared_frames,
 )
 from phytac_decoder.vision.matching import nearest_same_colour_px, neighbour_median
-from phytac_decoder.vision.segmentation import Blobs, check_image, segment
-from phytac_decoder.vision.switch_detection import RED_AREA_MIN_px
+from phytac_decoder.vision.segmentation import (
+    LIGHT_MAX,
+    LIGHT_MIN,
+    Blobs,
+    check_image,
+    segment,
+)
+from phytac_decoder.vision.switch_detection import RED_AREA_MIN_px, TipModel
 from phytac_decoder.vision.windows import Moments, PaintWindows, larger
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
@@ -313,8 +319,13 @@ class CameraFollower:
             stride=np.maximum((across / SETTINGS.tip_samples).astype(np.int64), 1),
         )
         self._tip_px = on_px[own] - self._shown_px[own]
-        middle = tips.threshold_px[self.ids[own]]
-        contrast = np.maximum(area[own] - tips.red_rest_px[self.ids[own]], 0.0)
+        self._tip_model = TipModel(
+            on_px=on_px[own],
+            red_rest_px=tips.red_rest_px[self.ids[own]],
+            red_on_px=area[own],
+        )
+        middle = self._tip_model.threshold_px
+        contrast = np.maximum(area[own] - self._tip_model.red_rest_px, 0.0)
         band = SETTINGS.hysteresis * contrast
         self._on_above, self._off_below = middle + band, np.maximum(middle - band, 1.0)
         self._on = self.red.look(frame, self.place_px[own] + self._tip_px).weight > middle
@@ -461,14 +472,18 @@ class CameraFollower:
         self._velocity = (0.5 * SETTINGS.damping / max(since, 1.0)) * (step + beside)
         self._lost_for = np.where(got, 0, self._lost_for + 1)
         self._rejected = 0
+        share = found.weight / np.maximum(self._full, 1e-6)
         red = self.red.look(frame, self.place_px[self._tips] + self._tip_px).weight
+        # Tips are in the same light as the markers.
+        red = red / np.clip(np.median(share[got]) if got.any() else 1.0, LIGHT_MIN, LIGHT_MAX)
+        red = red / self._tip_model.red_light(red)
         self._on = red > np.where(self._on, self._off_below, self._on_above)
         switch_on = np.zeros(len(got), dtype=np.bool_)
         switch_on[self._tips] = self._on
         return Observed(
             position_px=self._of_bundle(np.where(got[:, None], self.place_px, np.nan), np.nan),
             switch_on=self._of_bundle(switch_on, fill=False),
-            paint=self._of_bundle(found.weight / np.maximum(self._full, 1e-6), 0.0),
+            paint=self._of_bundle(share, 0.0),
         )
 
     def _of_bundle(self, values: NDArray[Any], fill: float) -> NDArray[Any]:

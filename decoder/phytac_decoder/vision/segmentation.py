@@ -1,7 +1,7 @@
 """Segmentation: paint masks in YCbCr and sub-pixel blob centroids."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +15,14 @@ from phytac_shapes.errors import InputError
 
 HUE_COSINE_MIN = 0.80
 """Chroma within about 37 degrees of a paint's own hue belongs to that paint."""
+
+COUNTS_EXPONENT = 0.8
+"""Weights of pixels are their share of full chroma to this power: in proportion to the covered part
+of a pixel in sRGB (measured: half covered by paint on a grey wall is a share of 0.41)."""
+
+LIGHT_STEP, LIGHT_MIN, LIGHT_MAX = 0.05, 0.7, 1.4
+"""Changes of light since the rest frame are followed in these steps between these factors of chroma
+(half and twice the exposure in sRGB); farther changes count as the last step."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +45,9 @@ class ColourModel:
         of a marker counts in part, as far as paint covers its pixels.
     bare : (k,) float, optional
         Share of each paint's full chroma that the bare wall shows; none if not given.
+    usual_weight : (k,) float, optional
+        Median weight of each paint's blobs in the rest frame, NaN of paint without blobs; the light
+        is not followed if not given.
     """
 
     names: tuple[str, ...]
@@ -44,16 +55,15 @@ class ColourModel:
     floor: float = 0.3
     edge: float = 0.08
     bare: FloatArray | None = None
+    usual_weight: FloatArray | None = None
 
     def counts(self, share: FloatArray) -> FloatArray:
         """Weights of pixels by their share of their paint's full chroma; 0 below the edge.
 
         Weights are in proportion to light, without an upper limit, so that a change of exposure
-        multiplies all weights of a marker and leaves its centroid where it is. The exponent makes
-        them proportional to the covered part of a pixel in sRGB (measured: half covered by paint
-        on a grey wall is a share of 0.41).
+        multiplies all weights of a marker and leaves its centroid where it is.
         """
-        return np.where(share >= self.edge, np.maximum(share, 0.0) ** 0.8, 0.0)
+        return np.where(share >= self.edge, np.maximum(share, 0.0) ** COUNTS_EXPONENT, 0.0)
 
     @classmethod
     def from_rgb(
@@ -73,6 +83,32 @@ class ColourModel:
         ycc = cv2.cvtColor(rgb, cv2.COLOR_RGB2YCrCb)[0].astype(np.float64)
         edge = cls.floor if set(DOTS) & set(paints) else cls.edge
         return cls(names=tuple(paints), chroma=ycc[:, 1:] - 128.0, edge=edge)
+
+    def light(self, blobs: "Blobs") -> float:
+        """Chroma of the markers' paints in an image over that in the rest frame; 1 if unknown.
+
+        The tips' red, which shows with the switches, does not count.
+        """
+        if self.usual_weight is None:
+            return 1.0
+        change = blobs.usual_weight(len(self.names)) / self.usual_weight
+        change = change[[name != "red" for name in self.names]]
+        change = change[np.isfinite(change)]
+        return float(np.exp(np.log(change).mean() / COUNTS_EXPONENT)) if len(change) else 1.0
+
+    def in_light(self, light: float) -> "ColourModel":
+        """Model of the same paints where all chroma is ``light`` times that of the rest frame."""
+        step = round(float(np.clip(light, LIGHT_MIN, LIGHT_MAX)) / LIGHT_STEP)
+        if step not in self._lights:
+            scale = step * LIGHT_STEP
+            # Noise does not fade with the light.
+            edge = min(max(self.edge, self.edge / scale), self.floor)
+            self._lights[step] = replace(self, chroma=self.chroma * scale, edge=edge)
+        return self._lights[step]
+
+    @cached_property
+    def _lights(self) -> dict[int, "ColourModel"]:
+        return {round(1.0 / LIGHT_STEP): self}
 
     @property
     def dots(self) -> str:
@@ -157,6 +193,11 @@ class Blobs:
     box_px: IntArray
     labels: NDArray[np.int32] | None = None
 
+    def usual_weight(self, paints: int) -> FloatArray:
+        """Median weight (k,) of each paint's blobs; NaN of paint without blobs."""
+        each = [self.weight[self.colour == paint] for paint in range(paints)]
+        return np.array([np.median(weight) if len(weight) else np.nan for weight in each])
+
 
 def check_image(image: ImageArray, *, width_px: int, height_px: int) -> ImageArray:
     """Return an 8-bit colour image of the expected size.
@@ -229,6 +270,16 @@ def segment(
         box_px=np.concatenate(corners),
         labels=labels,
     )
+
+
+def segment_in_its_light(image_bgr: ImageArray, model: ColourModel) -> Blobs:
+    """Blobs of an image whose exposure may differ from that of the rest frame.
+
+    Paint in less light would fall below the floor, and tips would show less red than their share.
+    """
+    blobs = segment(image_bgr, model)
+    lit = model.in_light(model.light(blobs))
+    return blobs if lit is model else segment(image_bgr, lit)
 
 
 def _pixels(mask: ImageArray) -> IntArray:

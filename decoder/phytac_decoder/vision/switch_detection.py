@@ -1,6 +1,6 @@
 """The digital channel: which switches are on, by the red tips in the image."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,12 @@ RED_AREA_MIN_px = 4.0
 RED_RATIO_MIN = 1.3
 """A switch can be read if its tip, when out, shows this many times its red at rest or more: the
 threshold is half way between, and printed and pressed tips show an eighth more or less."""
+RED_SEEN_px = 50.0
+"""A tip that shows so much red at rest is measured in the rest frame."""
+RED_SEEN_RANGE = (0.8, 1.25)
+"""Less and more than these times what is expected at rest is no tip of this design at rest."""
+TIPS_FOR_LIGHT = 3
+"""Light on red paint is followed by so many tips that show at rest, or more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +48,26 @@ class TipModel:
     def blind(self, played: BoolArray) -> IntArray:
         """Unreadable switches (b,) among those in play (n,)."""
         return np.flatnonzero(~self.readable & played)
+
+    @cached_property
+    def seen_at_rest(self) -> BoolArray:
+        """Tips (n,) that show enough red at rest to be measured."""
+        return np.asarray(self.red_rest_px >= RED_SEEN_px)
+
+    def as_at_rest(self, red_px: FloatArray) -> "TipModel":
+        """Tips that show ``red_px`` (n,) in the rest frame, and in proportion when they are out."""
+        scale = np.clip(red_px / np.maximum(self.red_rest_px, 1.0), *RED_SEEN_RANGE)
+        scale = np.where(self.seen_at_rest, scale, 1.0)
+        return replace(self, red_rest_px=self.red_rest_px * scale, red_on_px=self.red_on_px * scale)
+
+    def red_light(self, red_px: FloatArray) -> float:
+        """Red of an image (n,) over that of the rest frame; 1 with few tips that show at rest."""
+        seen = self.seen_at_rest
+        if seen.sum() < TIPS_FOR_LIGHT:
+            return 1.0
+        # Most tips are at rest.
+        change = float(np.median(red_px[seen] / self.red_rest_px[seen]))
+        return float(np.clip(change, *RED_SEEN_RANGE))
 
     @property
     def threshold_px(self) -> FloatArray:
@@ -82,10 +108,8 @@ class TipCovers:
         return TipCovers(marker=place[self.marker], tip=place[self.tip], shift_px=self.shift_px)
 
 
-def read_switches(
-    blobs: Blobs, tips: TipModel, *, red_index: int, shift_px: FloatArray
-) -> BoolArray:
-    """Which switches (n,) are on: each red blob counts for the tip expected nearest to it.
+def red_areas(blobs: Blobs, tips: TipModel, *, red_index: int, shift_px: FloatArray) -> FloatArray:
+    """Red area (n,) px of each tip: each red blob counts for the tip expected nearest to it.
 
     Parameters
     ----------
@@ -98,9 +122,8 @@ def read_switches(
     shift_px : (n, 2) float
         Shift of each marker in this frame, with which the tip moves; NaN counts as none.
     """
-    count = len(tips.on_px)
+    area = np.zeros(len(tips.on_px))
     pick = np.flatnonzero(blobs.colour == red_index)
-    area = np.zeros(count)
     if len(pick):
         expected = tips.on_px + np.nan_to_num(shift_px)
         visible = np.isfinite(expected[:, 0])
@@ -113,4 +136,12 @@ def read_switches(
         reach = 2.0 * np.sqrt(np.maximum(tips.red_on_px[nearest], 1.0)) + 2.0
         near = distance[np.arange(len(pick)), nearest] <= reach
         np.add.at(area, nearest[near], blobs.weight[pick[near]])
-    return np.asarray(area > tips.threshold_px)
+    return area
+
+
+def read_switches(
+    blobs: Blobs, tips: TipModel, *, red_index: int, shift_px: FloatArray
+) -> BoolArray:
+    """Which switches (n,) are on, by :func:`red_areas`."""
+    area = red_areas(blobs, tips, red_index=red_index, shift_px=shift_px)
+    return np.asarray(area > tips.threshold_px * tips.red_light(area))
