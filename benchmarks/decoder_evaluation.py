@@ -27,6 +27,7 @@ from phytac_design.workflows.train_decoder import MECHANICS
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 LEARNT = ("fem_nn", "fem_nn_identity", "auto")
+TRAINERS_RUN = ("mechanics", *LEARNT)
 
 
 def mechanics(design: Design, accuracy: Preset) -> Context:
@@ -50,7 +51,7 @@ def train_decoder(
     plain: Bundle,
     data: DataSet,
     *,
-    names: Sequence[str] = LEARNT,
+    names: Sequence[str] = TRAINERS_RUN,
     start: Bundle | None = None,
     seed: int = 0,
 ) -> tuple[Bundle, dict[str, dict[str, Any]]]:

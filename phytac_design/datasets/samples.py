@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.cascade_network import CascadeNetwork, network_features
+from phytac_decoder.estimation.cascade_network import Base, CascadeNetwork, network_features
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
@@ -273,7 +273,9 @@ def power_of_two_below(value: float) -> float:
     return float(2.0 ** np.floor(np.log2(value)))
 
 
-def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNodeRows:
+def key_nodes(
+    model: ForceModel, samples: Samples, *, noise_px: float, base: Base = "stiffness"
+) -> KeyNodeRows:
     """Return inputs and outputs of the FEM-NN of samples with points (paper, eq. 2).
 
     A neighbour that was not found has u = 0, as in the decoder; a node that was not found has no
@@ -287,6 +289,8 @@ def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNod
         With ``bits_read``, ``shift_px`` and ``truth``.
     noise_px : float
         Standard deviation of each coordinate of a centroid; it sets the steps of storage.
+    base : str
+        Force that stands in ``stiffness_force_N``, see :class:`.CascadeNetwork`.
     """
     if samples.bits_read is None or samples.shift_px is None or samples.truth is None:
         raise InputError(
@@ -310,7 +314,7 @@ def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNod
         koi = marker[rows]
         apparent = model.pressed_mm(samples.shift_px[s], koi)
         u[rows] = network_features(apparent, model.neighbours, model.height_z_mm, koi)[:, :9]
-        stiff[rows] = model.stiffness[koi] @ apparent
+        stiff[rows] = model.base_forces(base, samples.shift_px[s], apparent, koi)
     return KeyNodeRows(
         sample=sample,
         marker=marker,
@@ -395,7 +399,7 @@ class KeyNodeData:
     apparent_mm : (m,) float
         u of the node itself.
     stiffness_force_N : (m,) float
-        (K·U) at the node.
+        (K·U) at the node, or another base that the network adds to.
     force_N : (m,) float
         True force carried by the node.
     sample : (m,) int

@@ -52,7 +52,7 @@ class Dataset:
 
 
 def key_node_data(model: ForceModel, data: Dataset) -> KeyNodeData:
-    """One training row per switch that is on (paper, eq. 2)."""
+    """One training row per switch that is on (paper, eq. 2), with forces on key nodes as base."""
     sample, marker = np.nonzero(data.switching.bits)
     apparent = np.stack(
         [
@@ -64,10 +64,14 @@ def key_node_data(model: ForceModel, data: Dataset) -> KeyNodeData:
         network_features(apparent[s], model.neighbours, model.height_z_mm, np.flatnonzero(bits))
         for s, bits in enumerate(data.switching.bits)
     ]
+    base = [
+        model.base_forces("key_nodes", data.shift_px[s], apparent[s], np.flatnonzero(bits))
+        for s, bits in enumerate(data.switching.bits)
+    ]
     return KeyNodeData(
         features=np.concatenate(features),
         apparent_mm=apparent[sample, marker],
-        stiffness_force_N=(apparent @ model.stiffness.T)[sample, marker],
+        stiffness_force_N=np.concatenate(base),
         force_N=data.switching.receptor_force_N[sample, marker],
         sample=sample,
     )

@@ -48,6 +48,7 @@ def untrained_model(context: Context) -> ForceModel:
         neighbours=context.markers.neighbours,
         networks={},
         locator=_locator(context) if "places" in context.folders else None,
+        footprint_px=response["footprint_px"],
     ).with_camera_motion(motion, context.design.camera.noise_centroid_px)
 
 
@@ -194,7 +195,11 @@ def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[s
     for name, activation in activations.items():
         context.progress(f"decoder: training {name}")
         fit = train_network(
-            rows.take(first), rows.take(second), activation=activation, seed=context.seed
+            rows.take(first),
+            rows.take(second),
+            activation=activation,
+            seed=context.seed,
+            base="key_nodes",
         )
         model.networks[name] = fit.network
         training[name] = {

@@ -98,11 +98,24 @@ def run_response(context: Context, folder: Path) -> None:
         motion=motion,
         pressed=pressed,
     )
+    # Training finds how far the forces of its contacts spread between these two.
+    on_footprints = pressed_motion(
+        model,
+        mesh,
+        surface,
+        markers,
+        pressed=pressed,
+        radius_mm=context.design.switch.footprint_diameter_mm / 2.0,
+    )
+    footprint = np.zeros((markers.count, 2, markers.count))
+    slope = context.arrays("views")["paint_slope"]
+    footprint[:, :, pressed] = np.einsum("nij,njm->nim", slope, on_footprints)
     write_arrays(
         folder,
         {
             "shift_to_mm": condensed.shift_to_mm,
             "compliance_px": condensed.compliance_px,
+            "footprint_px": footprint.reshape(2 * markers.count, markers.count),
             "stiffness": condensed.stiffness,
             "sensitivity_px_mm": condensed.sensitivity_px_mm,
         },

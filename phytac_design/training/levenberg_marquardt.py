@@ -10,6 +10,7 @@ from phytac_decoder.estimation.cascade_network import (
     INPUTS,
     SHAPES,
     Activation,
+    Base,
     CascadeNetwork,
     forward,
     layers_of,
@@ -20,6 +21,8 @@ from phytac_shapes.errors import InputError
 
 ITERATIONS_MAX, PATIENCE, RESTARTS = 150, 12, 2
 """Levenberg-Marquardt iterations; those without a lower validation error; random starts."""
+RANGE_MARGIN = 0.1
+"""A network is used this share of the range of its training inputs beyond them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +50,7 @@ def train_network(
     activation: Activation,
     seed: int,
     start: CascadeNetwork | None = None,
+    base: Base = "stiffness",
 ) -> TrainedNetwork:
     """Fit k = g(nn) so that (K·U)_i + k_i·u_i matches the true force (paper, eq. 2 and 3).
 
@@ -65,6 +69,8 @@ def train_network(
     start : CascadeNetwork, optional
         Another sensor's network to start from instead. Its 351 parameters are used; the scales are
         those of the new data, so that it adapts to the motion and stiffness of the new sensor.
+    base : str
+        What stands for (K·U)_i, see :class:`.CascadeNetwork`.
 
     Raises
     ------
@@ -99,9 +105,17 @@ def train_network(
     )
     fits = [_levenberg_marquardt(fitted, held_out, first) for first in starts]
     rmse_validation, rmse_train, rounds, parameters = min(fits, key=lambda fit: fit[0])
+    least, most = training.features.min(axis=0), training.features.max(axis=0)
+    margin = RANGE_MARGIN * (most - least)
     return TrainedNetwork(
         network=CascadeNetwork(
-            parameters=parameters, activation=activation, scale_in=scale_in, scale_out=scale_out
+            parameters=parameters,
+            activation=activation,
+            scale_in=scale_in,
+            scale_out=scale_out,
+            base=base,
+            low=least - margin,
+            high=most + margin,
         ),
         seconds=time.perf_counter() - begin,
         rounds=rounds,

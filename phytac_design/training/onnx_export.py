@@ -17,6 +17,8 @@ from phytac_shapes.errors import InputError, NumericalError, OutputError
 
 OPSET, IR_VERSION = 17, 8
 """Versions of 2022, which current run times support."""
+BASE_FORCES = {"stiffness": "(K·U)_i", "key_nodes": "koi_inverse_i"}
+"""What networks add to, by their base."""
 INPUT, OUTPUT, ROWS = "features_mm", "stiffness_N_per_mm", "key_nodes"
 
 
@@ -74,8 +76,8 @@ def export_onnx(bundle: Path, out: Path, *, estimator: str = "fem_nn") -> float:
 def provenance(decoder: Bundle, sha256: str, estimator: str) -> dict[str, str]:
     """Return the metadata of the file."""
     return {
-        "what": f"stiffness that estimator {estimator} adds at a key node: force_N = (K·U)_i + "
-        f"{OUTPUT} · u_i",
+        "what": f"stiffness that estimator {estimator} adds at a key node: force_N = "
+        f"{BASE_FORCES[decoder.model.networks[estimator].base]} + {OUTPUT} · u_i",
         "estimator": estimator,
         "activation": decoder.model.networks[estimator].activation,
         "design": decoder.design,
@@ -102,6 +104,8 @@ def network_model(network: CascadeNetwork, notes: Mapping[str, str]) -> onnx.Mod
         **network.layers(),
         "scale_in": network.scale_in,
         "scale_out": np.asarray(network.scale_out),
+        "low": np.full(INPUTS, -np.inf) if network.low is None else network.low,
+        "high": np.full(INPUTS, np.inf) if network.high is None else network.high,
     }
     nodes = [
         helper.make_node("Div", [INPUT, "scale_in"], ["x"]),
@@ -111,13 +115,21 @@ def network_model(network: CascadeNetwork, notes: Mapping[str, str]) -> onnx.Mod
         helper.make_node("Concat", ["both", "second"], ["every"], axis=1),
         helper.make_node("Gemm", ["every", "w3", "b3"], ["column"], transB=1),
         helper.make_node("Mul", ["column", "scale_out"], ["scaled"]),
-        helper.make_node("Squeeze", ["scaled", "last"], [OUTPUT]),
+        helper.make_node("Squeeze", ["scaled", "last"], ["stiffness"]),
+        helper.make_node("Max", [INPUT, "low"], ["raised"]),
+        helper.make_node("Min", ["raised", "high"], ["limited"]),
+        helper.make_node("Sub", [INPUT, "limited"], ["beyond"]),
+        helper.make_node("Abs", ["beyond"], ["away"]),
+        helper.make_node("ReduceMax", ["away"], ["farthest"], axes=[1], keepdims=0),
+        helper.make_node("Equal", ["farthest", "zero"], ["learnt"]),
+        helper.make_node("Where", ["learnt", "stiffness", "zero"], [OUTPUT]),
     ]
     tensors = [
         numpy_helper.from_array(np.asarray(array, dtype=np.float64), name)
         for name, array in constants.items()
     ]
     tensors.append(numpy_helper.from_array(np.array([1], dtype=np.int64), "last"))
+    tensors.append(numpy_helper.from_array(np.array(0.0), "zero"))
     graph = helper.make_graph(
         nodes,
         "cascade",
@@ -165,6 +177,8 @@ def max_difference(path: Path, network: CascadeNetwork, tolerance: float = 1e-6)
     # Four times the scales of the inputs: both sides of every kink.
     features = 4.0 * network.scale_in * rng.standard_normal((256, INPUTS))
     features[0] = 0.0
+    if network.low is not None and network.high is not None:
+        features[64:] = rng.uniform(network.low, network.high, (192, INPUTS))
     wanted = network(features)
     worst = 0.0
     for rows in (features, features[:1]):

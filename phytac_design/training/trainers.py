@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.cascade_network import Activation
+from phytac_decoder.estimation.cascade_network import Activation, Base
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
-from phytac_design.datasets.samples import THEORIES
+from phytac_design.datasets.samples import THEORIES, KeyNodeData, Samples, key_nodes
+from phytac_design.training.fem_calibration import fit_mechanics
 from phytac_design.training.levenberg_marquardt import train_network
 from phytac_design.training.locator_calibration import calibrate_locator
-from phytac_design.training.training_data import SplitPart
+from phytac_design.training.training_data import SplitPart, data_of
 from phytac_shapes.errors import InputError
 
 
@@ -65,21 +66,38 @@ def train_cascade(
                 f"the decoder to start from, of {task.start.design}, has no network {name} "
                 f"(its networks: {known}); train that one first, or leave --start out",
             )
+    model, parts = task.bundle.model, (task.training, task.validation, task.test)
+    base: Base = "stiffness"
+    rows = [part.rows for part in parts]
+    points = [part.samples for part in parts if part.samples is not None and part.has_points]
+    if len(points) == len(parts):
+        rows, base = [_key_node_rows(model, samples) for samples in points], "key_nodes"
     fit = train_network(
-        task.training.rows,
-        task.validation.rows,
-        activation=activation,
-        seed=task.seed,
-        start=start,
+        rows[0], rows[1], activation=activation, seed=task.seed, start=start, base=base
     )
-    model = task.bundle.model
     facts = {
         "rounds": fit.rounds,
         "rmse_training_N": fit.rmse_train_N,
         "rmse_validation_N": fit.rmse_validation_N,
-        "rmse_test_N": task.test.rows.rmse_N(fit.network),
+        "rmse_test_N": rows[2].rmse_N(fit.network),
+        "base": base,
     }
     return replace(model, networks={**model.networks, name: fit.network}), facts
+
+
+def _key_node_rows(model: ForceModel, samples: Samples) -> KeyNodeData:
+    """Return the networks' rows of samples with points, by a model with calibrated mechanics."""
+    return data_of(key_nodes(model, samples, noise_px=model.noise_px, base="key_nodes"))
+
+
+def calibrate_fem(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
+    """Calibrate the modulus, and how far forces spread, of the finite-element model (eq. 4)."""
+    model, samples = task.bundle.model, task.training.samples
+    if samples is None or model.footprint_px is None:
+        return model, {"left": "as designed: no points in the data"}
+    fit = fit_mechanics(model, model.footprint_px, samples)
+    names = ("modulus", "spread", "tip_sd_px", "error_N")
+    return fit.model, {name: getattr(fit, name) for name in names}
 
 
 def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
@@ -109,6 +127,7 @@ def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
 
 
 TRAINERS: tuple[tuple[str, Trainer], ...] = (
+    ("mechanics", calibrate_fem),
     ("fem_nn", partial(train_cascade, name="fem_nn", activation="rectified")),
     ("fem_nn_identity", partial(train_cascade, name="fem_nn_identity", activation="identity")),
     ("auto", calibrate_auto),

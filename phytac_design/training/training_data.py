@@ -82,6 +82,11 @@ class SplitPart:
     rows: KeyNodeData
     samples: Samples | None
 
+    @property
+    def has_points(self) -> bool:
+        """Whether all of its samples have points."""
+        return self.samples is not None and self.samples.count == self.count
+
 
 def read_data_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet]:
     """Read data sets of one design.

@@ -145,9 +145,40 @@ def test_training_finds_a_stiffness_the_affine_net_cannot() -> None:
     for activation in ("rectified", "identity"):
         net = train_network(train, validation, activation=activation, seed=0).network
         guess = test.stiffness_force_N + net(test.features) * test.apparent_mm
-        error[activation] = float(np.sqrt(((guess - test.force_N) ** 2).mean()))
+        learnt = net.learnt(test.features)
+        assert learnt.sum() > 150
+        error[activation] = float(np.sqrt(((guess - test.force_N)[learnt] ** 2).mean()))
     assert error["rectified"] < 0.1 * error["identity"]
     assert error["identity"] < 0.3 * test.force_N.std()
+
+
+def test_beyond_its_training_a_network_adds_nothing() -> None:
+    train, validation = key_nodes(200, 0), key_nodes(20, 1)
+    net = train_network(train, validation, activation="rectified", seed=0).network
+    edge = train.features.max(axis=0)
+    inside = np.tile(train.features.mean(axis=0), (2, 1))
+    outside = inside.copy()
+    inside[1, 4], outside[1, 4] = edge[4], 1.5 * edge[4]
+    assert (net(inside) != 0.0).all()
+    assert net(outside).tolist() == [net(inside)[0], 0.0]
+    model = replace(force_model(), networks={"fem_nn": net})
+    koi, far = np.array([4]), np.full((N, 2), 9.0)
+    assert (model.forces("fem_nn", far, koi) == model.forces("fem", far, koi)).all()
+
+
+def test_forces_on_key_nodes_as_base_leave_the_tip_out() -> None:
+    """Markers around a contact determine it; its own is off by what its tip covers."""
+    plain = force_model()
+    flat = replace(random_network(), base="key_nodes", parameters=np.zeros(351))
+    model = replace(plain, networks={"fem_nn": flat})
+    force = np.zeros(N)
+    force[[2, 7]] = 3.0, 11.0
+    shift = (model.compliance_px @ force).reshape(N, 2)
+    koi = np.array([2, 7])
+    assert np.allclose(model.forces("fem_nn", shift, koi), force, atol=1e-9)
+    shift[7] += 0.2
+    off = [abs(model.forces(name, shift, koi)[7] - 11.0) for name in ("fem_nn", "koi_inverse")]
+    assert off[0] < 0.6 * off[1]
 
 
 def test_training_is_deterministic_and_refuses_too_little() -> None:

@@ -16,6 +16,7 @@ from phytac_design.simulation.contacts import Contacts, assign_forces, switch_st
 from phytac_design.simulation.sample_plan import ChartBox, SamplePlan
 from phytac_design.simulation.scenario import draw_plan as plan_module
 from phytac_design.simulation.scenario import presses
+from phytac_design.simulation.scenario.contact_placement import grid_numbers
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.presses import reach_mm
@@ -34,6 +35,7 @@ from phytac_design.simulation.scenario.viscoelasticity import (
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
+from tests.refusals import refused
 
 JITTER_MM = 1.0
 
@@ -71,12 +73,12 @@ def columns(touches: Contacts) -> dict[str, Any]:
 @pytest.mark.parametrize("name", shipped_scenarios())
 def test_every_scenario_runs_on_every_design(shape: str, name: str) -> None:
     own = load_scenario(name)
-    if name in {"platform", "grips"} and shape != "cylinder60":
+    if name in {"platform", "grips", "paper-protocol", "paper-grips"} and shape != "cylinder60":
         own = _asked(own, 80)  # samples do not depend on how many there are
     design, surface, unit = sensor(shape)
     got = draw_plan(design, surface, unit, own, seed=1)
     touches, samples = got.touches, got.touches.samples
-    assert samples == (own.touch.samples or {"platform": 598, "cycles": 140}[name])
+    assert samples == (own.touch.samples or {"cycles": 140}.get(name, 598))
     for array in (got.time_s, got.sequence, got.light, got.switching.bits):
         assert len(array) == samples
     assert (np.diff(touches.sample) >= 0).all()
@@ -92,7 +94,19 @@ def test_every_scenario_runs_on_every_design(shape: str, name: str) -> None:
         assert touches.force_N.min() >= design.training.force_min_N
         assert touches.force_N.max() <= design.training.force_max_N
         assert (np.bincount(touches.indenter) > 0.25 * len(touches.indenter)).all()
-    if name == "grips":
+    if name == "paper-protocol":
+        assert set(np.unique(touches.counts)) == {1, 4, 5}
+        assert (touches.counts > 1).mean() == pytest.approx(0.48, abs=3.0 / samples)
+        assert (touches.radius_mm == design.switch.footprint_diameter_mm / 2.0).all()
+        markers = make_markers(design, surface)
+        gap = np.linalg.norm(touches.uv[:, None] - markers.uv, axis=2)
+        pressed = np.unique(gap.argmin(axis=1))
+        assert gap.min(axis=1).max() < 1e-9
+        columns_of = grid_numbers(markers)[1]
+        assert set(columns_of[pressed]) == {0, 1}
+        # Each of them is pressed alone, in turn.
+        assert samples < 598 or len(pressed) == (columns_of < 2).sum()
+    if name in {"grips", "paper-grips"}:
         assert (touches.counts == 9).all()
         assert touches.force_N.max() <= 25.0
         assert np.bincount(touches.sample, touches.force_N).max() > 200.0
@@ -101,6 +115,34 @@ def test_every_scenario_runs_on_every_design(shape: str, name: str) -> None:
 def _asked(own: Scenario, samples: int) -> Scenario:
     touch = own.touch.model_copy(update={"samples": samples})
     return own.model_copy(update={"touch": touch})
+
+
+def test_a_gripper_keeps_its_shape_and_goes_round_the_seam() -> None:
+    fingers = [[0, 0], [3, 1], [5, 2]]
+    own = scenario(
+        touch={
+            "samples": 60,
+            "multi_share": 1.0,
+            "jitter_mm": 0.0,
+            "grippers": [{"fingers": fingers}],
+        }
+    )
+    design, surface, _ = sensor("cylinder60")
+    got, markers = plan(own, sensor("cylinder60")).touches, make_markers(design, surface)
+    place = np.linalg.norm(got.uv[:, None] - markers.uv, axis=2).argmin(axis=1).reshape(-1, 3)
+    row, column = (values[place] for values in grid_numbers(markers))
+    assert (row - row[:, :1] == [0, 3, 5]).all()
+    assert ((column - column[:, :1]) % (markers.column.max() + 1) == [0, 1, 2]).all()
+    assert (np.diff(column, axis=1) < 0).any()
+    assert len(np.unique(got.force_N)) == len(got.force_N)
+
+
+def test_a_gripper_without_room_is_refused() -> None:
+    touch = {"multi_share": 1.0, "columns": [0], "grippers": [{"fingers": [[0, 0], [0, 1]]}]}
+    with refused("gripper-no-room"):
+        plan(scenario(touch={"samples": 3, **touch}))
+    with refused("contact-range-empty"):
+        plan(scenario(touch={"samples": 3, "placement": "columns", "columns": [99]}))
 
 
 DRAWN = {

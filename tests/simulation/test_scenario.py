@@ -20,7 +20,16 @@ from phytac_shapes.errors import DesignError
 from tests.refusals import refused
 
 PAGE = Path(__file__).parents[2] / "docs" / "scenarios.md"
-NAMES = ["cycles", "extremes", "grips", "platform", "rims", "smoke"]
+NAMES = [
+    "cycles",
+    "extremes",
+    "grips",
+    "paper-grips",
+    "paper-protocol",
+    "platform",
+    "rims",
+    "smoke",
+]
 
 
 def test_all_scenarios_are_shipped_and_named_as_their_files() -> None:
@@ -65,6 +74,8 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"touch": {"indenters": [{"kind": "cone"}]}}, "'flat', 'sphere' or 'cylinder' (got 'cone')"),
     ({"touch": {"indenters": [{"turn_deg": 1.0}]}}, "only a cylinder has length_mm and turn_deg"),
     ({"touch": {"along": [0.5, 0.5]}}, "along must grow"),
+    ({"touch": {"placement": "rims", "columns": [0]}}, "columns and grippers go with placement"),
+    ({"touch": {"grippers": [{"fingers": [[0, 0], [0, 0]]}]}}, "two fingers press on one receptor"),
     ({"touch": {"around": [0.5, 0.5]}}, "around must not be empty"),
     ({"touch": {"around": [0.5, 1.5]}}, "touch.around.1: .* less than or equal to 1 (got 1.5)"),
     ({"touch": {"force_min_N": 3.0, "force_max_N": 2.0}}, "force_min_N must not exceed force_max"),

@@ -258,6 +258,10 @@ class CameraMotion:
         """Return the same with no shift where ``found`` (2n,) is false."""
         return self if found.all() else replace(self, first=self.first * found)
 
+    def weighted(self, root: FloatArray) -> "CameraMotion":
+        """Return the same with each shift multiplied by the root (2n,) of its weight."""
+        return replace(self, first=self.first * root)
+
 
 @dataclass(frozen=True, kw_only=True)
 class MarkedMotion:

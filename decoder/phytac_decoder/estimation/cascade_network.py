@@ -6,9 +6,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 Activation = Literal["rectified", "identity"]
+Base = Literal["stiffness", "key_nodes"]
+BASES: tuple[str, ...] = get_args(Base)
 ACTIVATIONS: tuple[str, ...] = get_args(Activation)
 INPUTS, HIDDEN = 10, 10
 SHAPES: dict[str, tuple[int, ...]] = {
@@ -37,12 +39,21 @@ class CascadeNetwork:
         Inputs are divided by this (mm).
     scale_out : float
         Output is multiplied by this (N/mm).
+    base : str
+        Force that k·u is added to: K·U over all nodes (``stiffness``, all networks up to schema
+        1.15), or the forces on key nodes alone that explain the shifts of all markers best
+        (``key_nodes``).
+    low, high : (10,) float, optional
+        Least and largest inputs that it learnt from, mm; beyond them k is 0. None: everywhere.
     """
 
     parameters: FloatArray
     activation: Activation
     scale_in: FloatArray
     scale_out: float
+    base: Base = "stiffness"
+    low: FloatArray | None = None
+    high: FloatArray | None = None
 
     def layers(self) -> Mapping[str, FloatArray]:
         """Return the weights by name."""
@@ -51,9 +62,14 @@ class CascadeNetwork:
     def __call__(self, features: FloatArray) -> FloatArray:
         """Return the stiffness k (m,) in N/mm for features (m, 10) in mm."""
         rectified = self.activation == "rectified"
-        return forward(self.layers(), features / self.scale_in, rectified=rectified)[1] * (
-            self.scale_out
-        )
+        k = forward(self.layers(), features / self.scale_in, rectified=rectified)[1]
+        return np.asarray(np.where(self.learnt(features), k * self.scale_out, 0.0))
+
+    def learnt(self, features: FloatArray) -> BoolArray:
+        """Whether features (m, 10) mm are within the range that the network learnt from, (m,)."""
+        if self.low is None or self.high is None:
+            return np.ones(len(features), dtype=np.bool_)
+        return np.asarray(np.all((features >= self.low) & (features <= self.high), axis=1))
 
 
 def forward(

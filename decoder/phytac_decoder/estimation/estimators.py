@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from phytac_decoder.camera.camera_motion import CameraMotion, MarkedMotion
-from phytac_decoder.estimation.cascade_network import CascadeNetwork, network_features
+from phytac_decoder.estimation.cascade_network import Base, CascadeNetwork, network_features
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
@@ -15,6 +15,13 @@ from phytac_shapes.errors import InputError
 
 ESTIMATORS = ("fem", "fem_nn", "fem_nn_identity", "koi_inverse", "auto")
 """Names, in the order of every table."""
+
+TIP_SD_px = 0.17
+"""Standard deviation of a key node's own shift, beside the noise, where no data determine it: its
+tip covers paint, by 0.13 px more or less on another print than is predicted, and the wall dents
+under the contact itself."""
+NOISE_LEAST_px = 0.01
+"""Noise of shifts against which that is weighed, at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +49,11 @@ class ForceModel:
         Shifts by motion of the cameras since the rest frame, which is estimated in every frame.
     noise_px : float
         Standard deviation of a coordinate of a shift, against which that motion is weighed.
+    tip_sd_px : float
+        Standard deviation of a key node's own shift, beside the noise, in the forces that networks
+        with the base ``key_nodes`` add to.
+    footprint_px : (2n, n) float, optional
+        C of forces on the switches' footprints in place of the cells; for training, not saved.
     """
 
     shift_to_mm: FloatArray
@@ -53,6 +65,8 @@ class ForceModel:
     locator: ContactLocator | None = None
     camera_motion: CameraMotion | None = None
     noise_px: float = 0.06
+    tip_sd_px: float = TIP_SD_px
+    footprint_px: FloatArray | None = None
 
     @property
     def estimators(self) -> tuple[str, ...]:
@@ -168,12 +182,22 @@ class ForceModel:
             out[koi] = self._inverse(shift_px, koi)
             return out
         u = self.pressed_mm(shift_px, koi)
-        force = self.stiffness[koi] @ u
-        if estimator != "fem":
-            features = network_features(u, self.neighbours, self.height_z_mm, koi)
-            force = force + self.networks[estimator](features) * u[koi]
-        out[koi] = force
+        if estimator == "fem":
+            out[koi] = self.stiffness[koi] @ u
+            return out
+        network = self.networks[estimator]
+        features = network_features(u, self.neighbours, self.height_z_mm, koi)
+        base = self.base_forces(network.base, shift_px, u, koi)
+        out[koi] = base + network(features) * u[koi]
         return out
+
+    def base_forces(
+        self, base: Base, shift_px: FloatArray, u_mm: FloatArray, koi: IntArray
+    ) -> FloatArray:
+        """Return the forces (m,) N on key nodes that a network adds to, of apparent u (n,) mm."""
+        if base == "key_nodes":
+            return self._inverse(shift_px, koi, tip_sd_px=self.tip_sd_px)
+        return np.asarray(self.stiffness[koi] @ u_mm)
 
     @cached_property
     def patterns(self) -> tuple[FloatArray, FloatArray]:
@@ -201,18 +225,24 @@ class ForceModel:
             return shift_px
         return np.asarray(shift_px - self.camera_motion.shift_px(motion).reshape(-1, 2))
 
-    def _inverse(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
+    def _inverse(
+        self, shift_px: FloatArray, koi: IntArray, *, tip_sd_px: float = 0.0
+    ) -> FloatArray:
         """Return the least-squares solution of d = C(:, KOI)·f over all found markers, f >= 0.
 
-        Motion of the cameras is left free, within its prior.
+        Motion of the cameras is left free, within its prior. Key nodes' own shifts may have another
+        standard deviation beside the noise.
         """
         d = shift_px.reshape(-1)
         rows, products = self.patterns
         found = np.isfinite(d)
-        if self.camera_motion is None and found.all():
+        if self.camera_motion is None and found.all() and tip_sd_px == 0.0:
             return nonnegative_least_squares(products[np.ix_(koi, koi)], rows[koi] @ d)
-        c = rows[koi] * found
+        root = found.astype(np.float64)
+        noise_px = max(self.noise_px, NOISE_LEAST_px)
+        root.reshape(-1, 2)[koi] *= noise_px / np.hypot(noise_px, tip_sd_px)
+        c = rows[koi] * root
         free = c
         if self.camera_motion is not None:
-            free = self.camera_motion.masked(found).free_of_motion(c, self.noise_px)
-        return nonnegative_least_squares(free @ c.T, free @ np.nan_to_num(d))
+            free = self.camera_motion.weighted(root).free_of_motion(c, self.noise_px)
+        return nonnegative_least_squares(free @ c.T, free @ (root * np.nan_to_num(d)))

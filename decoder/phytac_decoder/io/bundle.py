@@ -25,8 +25,8 @@ from phytac_decoder.camera.camera_motion import (
     Mount,
     tabulate_camera_motion,
 )
-from phytac_decoder.estimation.cascade_network import ACTIVATIONS, INPUTS, CascadeNetwork
-from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.estimation.cascade_network import ACTIVATIONS, BASES, INPUTS, CascadeNetwork
+from phytac_decoder.estimation.estimators import ForceModel, TIP_SD_px
 from phytac_decoder.estimation.force_regions import Region, regions_from_table, regions_to_table
 from phytac_decoder.io.bundle_camera import camera_from, camera_table
 from phytac_decoder.io.bundle_check import (
@@ -57,7 +57,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 15), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 16), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -269,12 +269,16 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
                 "activation": net.activation,
                 "scale_in": net.scale_in.tolist(),
                 "scale_out": net.scale_out,
+                "base": net.base,
+                **({} if net.low is None else {"low": net.low.tolist()}),
+                **({} if net.high is None else {"high": net.high.tolist()}),
             }
             for name, net in model.networks.items()
         },
         # The median; up to schema 1.2 all markers had the same threshold.
         "threshold_N": float(np.median(bundle.threshold_N)),
         "noise_centroid_px": float(bundle.noise_centroid_px),
+        "tip_sd_px": float(model.tip_sd_px),
         "force_max_N": float(bundle.force_max_N),
         "notes": bundle.notes,
     }
@@ -461,6 +465,8 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
             name: _network(name, table, arrays[f"network.{name}"])
             for name, table in meta["networks"].items()
         },
+        # Up to schema 1.15 it was not used.
+        tip_sd_px=bounded(meta.get("tip_sd_px", TIP_SD_px), "tip_sd_px"),
     )
     bundle = Bundle(
         design=str(meta["design"]),
@@ -526,11 +532,18 @@ def _heads_on_rays(arrays: dict[str, Any], cameras: Sequence[Camera]) -> FloatAr
 def _network(name: str, table: dict[str, Any], parameters: FloatArray) -> CascadeNetwork:
     if table["activation"] not in ACTIVATIONS:
         raise ValueError(f"network {name!r} has an unknown activation {table['activation']!r}")
+    # Up to schema 1.15 all networks added to K·U, without limits.
+    base = table.get("base", "stiffness")
+    if base not in BASES:
+        raise ValueError(f"network {name!r} has an unknown base {base!r}")
     return CascadeNetwork(
         parameters=parameters,
         activation=table["activation"],
         scale_in=numbers(table["scale_in"], INPUTS, positive=True),
         scale_out=number(table["scale_out"]),
+        base=base,
+        low=numbers(table["low"], INPUTS) if "low" in table else None,
+        high=numbers(table["high"], INPUTS) if "high" in table else None,
     )
 
 

@@ -104,7 +104,8 @@ def place_sampler(
         return _by_area(part)
     if touch.placement == "rims":
         return _near_edges(part, touch.rim_mm)
-    return _on_receptors(part, markers, jitter_of(touch, least_mm))
+    held = pressed_receptors(surface, markers, touch)
+    return _on_receptors(part, markers, held, jitter_of(touch, least_mm))
 
 
 def jitter_of(touch: ContactsSection, least_mm: float) -> float:
@@ -114,31 +115,57 @@ def jitter_of(touch: ContactsSection, least_mm: float) -> float:
     return rig_jitter_mm(least_mm)
 
 
-def traverse(surface: Surface, markers: Markers, touch: ContactsSection) -> IntArray:
-    """Receptors of the touched part, column after column and row after row.
+def pressed_receptors(surface: Surface, markers: Markers, touch: ContactsSection) -> IntArray:
+    """Receptors (m,) in the touched part and the columns of a scenario.
 
-    Off a lattice they are taken strip by strip around, each along the sensor.
+    Raises
+    ------
+    DesignError
+        If there are none.
     """
-    held = np.flatnonzero(chart_window(surface, touch.along, touch.around).holds(markers.uv))
+    held = chart_window(surface, touch.along, touch.around).holds(markers.uv)
+    if touch.columns is not None:
+        held &= np.isin(grid_numbers(markers)[1], touch.columns)
+    if not held.any():
+        raise _nothing("receptor of these columns" if touch.columns else "receptor")
+    return np.flatnonzero(held)
+
+
+def grid_numbers(markers: Markers) -> tuple[IntArray, IntArray]:
+    """Row (n,) and column (n,) of each receptor.
+
+    Off a lattice, strips along the sensor, about as many as receptors in each, are its columns.
+    """
     if markers.in_rows:
-        return held[np.lexsort((markers.row[held], markers.column[held]))]
-    strips = max(round(float(np.sqrt(len(held)))), 1)
-    rank = np.argsort(np.argsort(markers.uv[held, 1], kind="stable"), kind="stable")
-    return held[np.lexsort((markers.uv[held, 0], rank * strips // max(len(held), 1)))]
+        return markers.row, markers.column
+    count = markers.count
+    strips = max(round(float(np.sqrt(count))), 1)
+    rank = np.argsort(np.argsort(markers.uv[:, 1], kind="stable"), kind="stable")
+    column = rank * strips // max(count, 1)
+    order = np.lexsort((markers.uv[:, 0], column))
+    row = np.empty(count, dtype=np.int64)
+    row[order] = np.arange(count) - np.searchsorted(column[order], column[order])
+    return row, column
+
+
+def traverse(surface: Surface, markers: Markers, touch: ContactsSection) -> IntArray:
+    """Receptors of the touched part, column after column and row after row."""
+    held = pressed_receptors(surface, markers, touch)
+    row, column = grid_numbers(markers)
+    return held[np.lexsort((row[held], column[held]))]
 
 
 def _nothing(what: str) -> DesignError:
     return DesignError(
         "contact-range-empty",
-        f"the touched part of the chart holds no {what}; widen touch.along and touch.around",
+        f"the touched part of the chart holds no {what}; widen touch.along and touch.around, or "
+        "give other columns",
     )
 
 
-def _on_receptors(part: ChartWindow, markers: Markers, jitter_mm: float) -> PlaceSampler:
-    held = np.flatnonzero(part.holds(markers.uv))
-    if len(held) == 0:
-        raise _nothing("receptor")
-
+def _on_receptors(
+    part: ChartWindow, markers: Markers, held: IntArray, jitter_mm: float
+) -> PlaceSampler:
     def place(receptor: IntArray, draw: FloatArray) -> FloatArray:
         any_of = held[np.minimum((draw[:, 0] * len(held)).astype(np.int64), len(held) - 1)]
         ids = np.where(receptor >= 0, receptor, any_of)

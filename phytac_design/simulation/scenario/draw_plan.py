@@ -14,6 +14,7 @@ from phytac_design.simulation.sample_plan import ChartBox, SamplePlan
 from phytac_design.simulation.scenario.contact_placement import (
     chart_window,
     contact_box,
+    pressed_receptors,
     window_grid,
 )
 from phytac_design.simulation.scenario.grips import draw_grips, grip_section, level_forces
@@ -115,16 +116,20 @@ def draw_plan(
         sequence=pressed.sequence,
         light=light_at(pressed.time_s, light.drift_share, light.drift_time_s),
         switching=_switching(pressed, unit, shares),
-        region=_region(design, surface, scenario, pressed.touches),
+        region=_region(design, surface, known, scenario, pressed.touches),
     )
 
 
-def _region(design: Design, surface: Surface, scenario: Scenario, touches: Contacts) -> ChartBox:
+def _region(
+    design: Design, surface: Surface, markers: Markers, scenario: Scenario, touches: Contacts
+) -> ChartBox:
     """Where contacts may lie: as drawn, the whole touched part, however many samples there are."""
     touch = scenario.touch
     if touch.at is not None or scenario.kind == "cycles":
         return contact_box(surface, touches.uv, reach_mm(touches))
     places = window_grid(chart_window(surface, touch.along, touch.around))
+    if touch.columns is not None:
+        places = markers.uv[pressed_receptors(surface, markers, touch)]
     reach = largest_reach_mm(touch, contact_ranges(design, touch))
     return contact_box(surface, places, np.full(len(places), reach))
 

@@ -16,9 +16,11 @@ from phytac_design.mechanics.indenter import INDENTERS
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.scenario.contact_placement import (
     PlaceSampler,
+    grid_numbers,
     jitter_of,
     place_sampler,
     places_at,
+    pressed_receptors,
     traverse,
 )
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
@@ -55,6 +57,8 @@ def contact_ranges(design: Design, touch: ContactsSection) -> ContactRanges:
         pick(touch.radius_min_mm, own.patch_radius_min_mm),
         pick(touch.radius_max_mm, own.patch_radius_max_mm),
     )
+    if touch.patch == "switch":
+        radius = (design.switch.footprint_diameter_mm / 2.0,) * 2
     for name, unit, (low, high) in (("force", "N", force), ("radius", "mm", radius)):
         if low > high:
             raise DesignError(
@@ -153,8 +157,55 @@ def draw_presses(
         rngs = [random_stream(seed, RandomStream.PRESS, int(k)) for k in numbers]
         if not alone:
             wanted = _wanted(touch, limits.multi_share, numbers, seed, rngs)
-        parts.append(draw.fill(numbers, wanted, rngs))
+        gripped = (wanted > 1) & bool(touch.grippers)
+        parts.append(draw.fill(numbers, np.where(gripped, 0, wanted), rngs))
+        if gripped.any():
+            rows = [_gripped(draw, markers, int(k), rngs[k - first]) for k in numbers[gripped]]
+            both = concatenate_contacts([parts.pop(), *rows], len(numbers))
+            parts.append(both.take(np.argsort(both.sample, kind="stable")))
     return concatenate_contacts(parts, samples)
+
+
+def _gripped(draw: "_Draw", markers: Markers, number: int, rng: np.random.Generator) -> Contacts:
+    """Contacts of a sample that one of the grippers presses, wherever all its fingers fit.
+
+    Raises
+    ------
+    DesignError
+        If none of them fits anywhere.
+    """
+    touch, surface = draw.touch, draw.surface
+    row, column = grid_numbers(markers)
+    held = pressed_receptors(surface, markers, touch)
+    known = {(int(row[k]), int(column[k])): int(k) for k in held}
+    turn_of = int(column.max()) + 1 if surface.periodic[1] else markers.count
+    at = surface.point(markers.uv)
+    # Patches do not overlap.
+    room = 2.0 * largest_reach_mm(touch, draw.limits)
+    fitting: list[list[list[int]]] = []
+    for gripper in touch.grippers:
+        steps = gripper.fingers
+        places = [[known.get((r + a, (c + b) % turn_of), -1) for a, b in steps] for r, c in known]
+        fitting.append([each for each in places if min(each) >= 0 and _apart(at[each], room)])
+    fitting = [places for places in fitting if places]
+    if not fitting:
+        fingers = [[list(each) for each in gripper.fingers] for gripper in touch.grippers]
+        raise DesignError(
+            "gripper-no-room",
+            f"touch.grippers: none of them (got fingers {fingers}) fits on the {len(held)} "
+            f"receptors that may be pressed, with {room:.3g} mm between fingers; bring them closer "
+            "or farther apart, give more touch.columns, or lower touch.radius_max_mm",
+        )
+    places = fitting[int(rng.integers(len(fitting)))]
+    receptor = np.array(places[int(rng.integers(len(places)))])
+    draws = rng.random((len(receptor), draw.draws))
+    return draw.candidates(np.full(len(receptor), number), receptor, draws)
+
+
+def _apart(at: FloatArray, room_mm: float) -> bool:
+    """Whether points (m, 3) are at least so far from each other."""
+    gap = np.linalg.norm(at[:, None] - at, axis=2)
+    return bool(gap[np.triu_indices(len(at), 1)].min() >= room_mm)
 
 
 def _wanted(

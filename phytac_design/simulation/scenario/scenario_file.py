@@ -112,6 +112,21 @@ class GivenContact(Section):
         return self
 
 
+class GripperSection(Section):
+    """A gripper: fingers in a fixed arrangement, each with a force of its own."""
+
+    fingers: tuple[tuple[int, int], ...] = Field(min_length=2, max_length=50)
+    """Rows and columns of each finger's receptor from those of the first finger's."""
+
+    @model_validator(mode="after")
+    def _fingers_differ(self) -> Self:
+        if len(set(self.fingers)) < len(self.fingers):
+            raise ValueError(
+                f"two fingers press on one receptor (got {[list(each) for each in self.fingers]})"
+            )
+        return self
+
+
 class ContactsSection(Section):
     """Contacts: how many, how strong, how large, where, with which indenters."""
 
@@ -136,6 +151,13 @@ class ContactsSection(Section):
     """`receptor`: on receptors at random; `columns`: column after column and row after row, as
     the rig traverses them; `anywhere`: evenly over the area that senses; `rims`: near open edges.
     """
+    columns: tuple[Annotated[int, Field(ge=0)], ...] | None = Field(None, min_length=1)
+    """Columns whose receptors are pressed, of `receptor` and `columns`; absent: all. Off a lattice,
+    strips along the sensor count as columns."""
+    grippers: tuple[GripperSection, ...] = Field((), max_length=20)
+    """Grippers that press several receptors at once; absent: contacts are drawn one by one."""
+    patch: Literal["range", "switch"] = "range"
+    """Sizes of patches: in the `range` of radii, or all as the footprint of a `switch`."""
     jitter_mm: float | None = Field(None, ge=0.0, le=1e3)
     """A receptor is hit within this distance, along and around; absent: 1 mm, a third of the
     smallest radius at most."""
@@ -170,6 +192,11 @@ class ContactsSection(Section):
             raise ValueError(f"along must grow (got {list(self.along)})")
         if self.around[0] == self.around[1]:
             raise ValueError(f"around must not be empty (got {list(self.around)})")
+        if self.placement in {"anywhere", "rims"} and (self.columns or self.grippers):
+            raise ValueError(
+                "columns and grippers go with placement = 'receptor' or 'columns' (got "
+                f"{self.placement!r})"
+            )
         return self
 
 
