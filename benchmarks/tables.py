@@ -1,7 +1,7 @@
-"""The short table of the README from the committed results; all rows on demand.
+"""The tables of README and ``docs/evidence.md`` from the committed results; all rows on demand.
 
-``python -m benchmarks.tables`` writes the README's table; ``--check`` only reports whether it is up
-to date; ``--out FOLDER`` also writes all rows as ``verification.md`` there.
+``python -m benchmarks.tables`` writes these tables; ``--check`` only reports whether they are up to
+date; ``--out FOLDER`` also writes all rows as ``verification.md`` there.
 """
 
 import argparse
@@ -14,13 +14,22 @@ from typing import Any
 from benchmarks.harness import RESULTS
 
 ROOT = Path(__file__).parents[1]
-README = ROOT / "README.md"
 BEGIN, END = "<!-- figures: made by python -m benchmarks.tables -->", "<!-- end of figures -->"
 INTRODUCTION = """# Verification
 
 Made by `python -m benchmarks.tables` from `benchmarks/results/`. Speed is a ratio to a peer in the
 same run, accuracy an error against an independent reference; what missed its target stays in.
 """
+HEADLINES: tuple[tuple[str, str], ...] = (
+    ("visibility", "cylinder60 368, straight: at rest: fused"),
+    ("visibility", "cylinder60-dense 744, spiral, line-of-sight heights: at rest: least gap, same"),
+    ("mechanics", "cylinder60, 10 N on a 6 mm fingertip patch, refine 4: greatest"),
+    ("fabrication", "cylinder60: volume, manifold3d against OCC"),
+    ("hands", "cylinder60 unit 1, points: learnt with friction 0 to 0.8, read with friction"),
+    ("decoder", "cylinder60 unit 1, frames: auto, all heights"),
+    ("study", "dense-cylinder trial"),
+)
+"""Rows of the README: benchmark and how the case begins; the first that matches is shown."""
 SHORT: tuple[tuple[str, str], ...] = (
     ("build", "cylinder60, standard: whole build"),
     ("build", "cylinder60, draft: whole build"),
@@ -63,7 +72,8 @@ SHORT: tuple[tuple[str, str], ...] = (
     ("page", "studio: cylinder60, from a control's change to all views drawn, p95"),
     ("page", "report of cylinder60-dense, 744 markers: first contentful paint"),
 )
-"""Rows of the README: benchmark and how the case begins; the first that matches is shown."""
+"""Rows of ``docs/evidence.md``."""
+PAGES = {ROOT / "README.md": HEADLINES, ROOT / "docs" / "evidence.md": SHORT}
 
 
 def cell(value: Any) -> str:
@@ -111,13 +121,13 @@ def page(results: dict[str, dict[str, Any]]) -> str:
     return "".join(parts)
 
 
-def short(results: dict[str, dict[str, Any]]) -> str:
-    """README's table."""
+def table(results: dict[str, dict[str, Any]], chosen: tuple[tuple[str, str], ...]) -> str:
+    """Table of some rows, between its marks."""
     rows = []
-    for name, start in SHORT:
+    for name, start in chosen:
         match = [row for row in results[name]["rows"] if row["case"].startswith(start)]
         if not match:
-            raise LookupError(f"no row of {name} begins with {start!r}; correct SHORT")
+            raise LookupError(f"no row of {name} begins with {start!r}; correct the list")
         rows.append(line(match[0]))
     return f"{BEGIN}\n{HEAD}" + "\n".join(rows) + f"\n{END}"
 
@@ -129,12 +139,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for verification.md")
     given = parser.parse_args()
     results = read()
-    old = README.read_text()
     pattern = re.compile(re.escape(BEGIN) + ".*" + re.escape(END), re.DOTALL)
-    new = pattern.sub(lambda _: short(results), old)
+    stale = []
+    for path, chosen in PAGES.items():
+        old = path.read_text()
+        # A backslash in a replacement would be an escape.
+        new = pattern.sub(table(results, chosen).replace("\\", r"\\"), old)
+        if new != old:
+            stale.append(path)
+        if not given.check:
+            path.write_text(new)
     if given.check:
-        sys.exit(f"out of date: {README}" if new != old else 0)
-    README.write_text(new)
+        sys.exit(f"out of date: {', '.join(map(str, stale))}" if stale else 0)
     if given.out:
         given.out.mkdir(parents=True, exist_ok=True)
         (given.out / "verification.md").write_text(page(results), encoding="utf-8")
