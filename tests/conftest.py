@@ -6,7 +6,8 @@ import signal
 # As the command line does, before numpy loads (see ``phytac_design.cli.app``).
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -35,29 +36,35 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None) -> BuildResult:
-    """The small design, built whole at draft accuracy."""
+    """The small design, built whole at draft accuracy, with switches of the coarse mesh."""
     out = tmp_path_factory.mktemp("exports") / "small"
-    return build(small(), out, accuracy="draft", progress=lambda _: None)
+    with coarse_bowls():
+        return build(small(), out, accuracy="draft", progress=lambda _: None)
 
 
-@pytest.fixture
-def coarse_switches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Switches on the coarse mesh alone, four times as quick: for tests of what is beside them.
-
-    What is built with them is in a cache of its own: no other test takes them for the exact ones.
-    """
-    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
-    for module, name in (
-        (design, "press_bowl"),
-        (design, "limit_load"),
-        (feasible_range, "press_bowl"),
-    ):
-        exact = getattr(module, name)
-        monkeypatch.setattr(module, name, partial(_coarse, exact))
+@contextmanager
+def coarse_bowls() -> Iterator[None]:
+    """Switches on the coarse mesh alone, four times as quick: for tests of what is beside them."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name in (
+            (design, "press_bowl"),
+            (design, "limit_load"),
+            (feasible_range, "press_bowl"),
+        ):
+            patch.setattr(module, name, partial(_coarse, getattr(module, name)))
+        yield
 
 
 def _coarse(exact: Callable[..., object], *given: object, **settings: object) -> object:
     return exact(*given, **{**settings, "refine": 1})
+
+
+@pytest.fixture
+def coarse_switches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """:func:`coarse_bowls` in a cache of its own: no other test takes them for the exact ones."""
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
+    with coarse_bowls():
+        yield
 
 
 NEEDS_CAD = (

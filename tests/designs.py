@@ -33,12 +33,12 @@ def changed(base: str = "cylinder60", **tables: Any) -> Design:
 
 
 def small(**tables: Any) -> Design:
-    """ø60 × 60, 8 rows × 14 columns, a 1296×972 camera, little data: builds in seconds."""
+    """ø60 × 60, 8 rows × 14 columns, an 864×648 camera, little data: builds in seconds."""
     base: dict[str, Any] = {
         "name": "small",
         "shape": {"length_mm": 60.0},
         "layout": {"rows": 8, "columns": 14, "height_far_mm": 6.0},
-        "camera": {"width_px": 1296, "height_px": 972, "focal_px": 485.0},
+        "camera": {"width_px": 864, "height_px": 648, "focal_px": 323.3},
         "training": {"samples": 120, "samples_test": 60},
     }
     for name, change in tables.items():
