@@ -15,7 +15,10 @@ import pytest
 
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.mechanics.switch import design, feasible_range
+from phytac_design.optics import picture
+from phytac_design.stages import switch_stage
 from phytac_design.stages.build import BuildResult, build
+from phytac_shapes.errors import MissingPartError
 from tests.designs import small
 
 
@@ -34,8 +37,18 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     pytest.MonkeyPatch().setenv("PHYTAC_CACHE", str(cache))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_opengl() -> None:
+    """Builds draw their pictures themselves, in half the time; ``optics/test_frame`` has OpenGL."""
+    pytest.MonkeyPatch().setattr(picture, "render_picture", _no_picture)
+
+
+def _no_picture(*_: object) -> None:
+    raise MissingPartError("graphics-missing", "tests draw no pictures by OpenGL")
+
+
 @pytest.fixture(scope="session")
-def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None) -> BuildResult:
+def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None, _no_opengl: None) -> BuildResult:
     """The small design, built whole at draft accuracy, with switches of the coarse mesh."""
     out = tmp_path_factory.mktemp("exports") / "small"
     with coarse_bowls():
@@ -52,11 +65,23 @@ def coarse_bowls() -> Iterator[None]:
             (feasible_range, "press_bowl"),
         ):
             patch.setattr(module, name, partial(_coarse, getattr(module, name)))
+        patch.setattr(switch_stage, "design_switch", _same_bowl)
         yield
 
 
 def _coarse(exact: Callable[..., object], *given: object, **settings: object) -> object:
     return exact(*given, **{**settings, "refine": 1})
+
+
+_BOWLS: dict[str, design.SwitchDesign] = {}
+
+
+def _same_bowl(*given: object) -> design.SwitchDesign:
+    """Most designs of tests have the same switch: each process solves it once."""
+    key = repr(given)
+    if key not in _BOWLS:
+        _BOWLS[key] = design.design_switch(*given)
+    return _BOWLS[key]
 
 
 @pytest.fixture

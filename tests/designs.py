@@ -10,7 +10,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
 
-CAMERA: dict[str, Any] = {"width_px": 648, "height_px": 486, "focal_px": 242.0}
+CAMERA: dict[str, Any] = {"width_px": 432, "height_px": 324, "focal_px": 161.0}
 COARSE = replace(
     PRESETS["draft"],
     frames=1,
@@ -57,6 +57,12 @@ def tiny(**tables: Any) -> Design:
     for name, change in tables.items():
         base[name] = {**base.get(name, {}), **change} if isinstance(change, dict) else change
     return small(**base)
+
+
+def fused() -> Design:
+    """Few markers in straight rows, of which some fuse in the camera."""
+    layout = {"kind": "straight", "rows": 12, "columns": 3, "height_far_mm": 2.0}
+    return small(name="one", layout=layout, camera=CAMERA)
 
 
 def of_shape(kind: str, shape: dict[str, Any], layout: dict[str, Any], **tables: Any) -> Design:

@@ -27,7 +27,7 @@ from phytac_shapes.errors import (
     MissingPartError,
     PhytacError,
 )
-from tests.designs import COARSE, changed, small, tiny
+from tests.designs import COARSE, changed, fused, small, tiny
 from tests.refusals import refused
 
 CONTRACT = {
@@ -296,14 +296,16 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
     monkeypatch.setattr("phytac_design.optics.picture.render_picture", absent)
     assert shell_stage.STEP.graphics
     assert views_stage.VIEWS.graphics
-    result = build(tiny(), tmp_path / "x", accuracy=COARSE, force=True, progress=quiet)
+    result = build(fused(), tmp_path / "x", accuracy=COARSE, force=True, progress=quiet)
     files = {p.relative_to(result.out).as_posix() for p in result.out.rglob("*") if p.is_file()}
-    # So few markers have one size of contact to press with.
-    left_out = {name for name in CONTRACT if name.endswith(".step")} | {"kit/indenter_2.stl"}
+    left_out = {name for name in CONTRACT if name.endswith(".step") or "straight" in name}
     assert files == (CONTRACT | {"manifest.json"}) - left_out
     report = json.loads((result.out / "report" / "report.json").read_text())
     assert "libGL" in report["shell"]["step_left_out"]
     assert report["camera"]["picture"] == "rasteriser"
+    # Markers that fuse do not stop a build that is forced.
+    assert report["visibility"]["fused"] > 0
+    assert "verdict bad" in (result.out / "report" / "report.html").read_text()
 
 
 @pytest.mark.usefixtures("coarse_switches")

@@ -1,13 +1,12 @@
 """Designs that a build refuses or stops at: nothing half-written, one clear reason."""
 
-import json
 from pathlib import Path
 
 import pytest
 
 from phytac_design.mechanics.switch import bowl_check
 from phytac_design.stages.build import build
-from tests.designs import CAMERA, COARSE, small, tiny
+from tests.designs import COARSE, fused, small, tiny
 from tests.refusals import refused
 
 
@@ -44,20 +43,14 @@ def test_impossible_designs_write_nothing(change: dict, code: str, tmp_path: Pat
     assert not (tmp_path / "x").exists()
 
 
-@pytest.mark.usefixtures("coarse_switches")
-def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
-    layout = {"kind": "straight", "rows": 12, "columns": 3, "height_far_mm": 2.0}
-    design = small(name="one", layout=layout, camera=CAMERA)
+def test_markers_that_fuse_stop_the_build(tmp_path: Path) -> None:
+    """Unless it is forced: ``test_build.test_without_graphics_libraries…``."""
     seen: list[str] = []
     with refused("build-gate") as caught:
-        build(design, tmp_path / "x", accuracy=COARSE, progress=seen.append)
+        build(fused(), tmp_path / "x", accuracy=COARSE, progress=seen.append)
     caught.match("layout.kind")
     assert not any("shell" in text for text in seen)
     assert not (tmp_path / "x" / "manifest.json").exists()
-    build(design, tmp_path / "x", accuracy=COARSE, force=True, progress=quiet)
-    report = json.loads((tmp_path / "x" / "report" / "report.json").read_text())
-    assert report["visibility"]["fused"] > 0
-    assert "verdict bad" in (tmp_path / "x" / "report" / "report.html").read_text()
 
 
 def test_markers_too_small_to_see_are_refused_not_decoded(tmp_path: Path) -> None:

@@ -130,9 +130,10 @@ def receptor_effect(
         np.clip(h, 0.0, HEIGHT_OVER_T[-1]),
     )
     grid = axes(DIAMETER_OVER_T, HOLE_OVER_DIAMETER, HEIGHT_OVER_T)
-    points = np.stack(at, axis=-1)
+    # Receptors of a row are alike, and the interpolation takes each point by itself.
+    points, alike = np.unique(np.stack(at, axis=-1).reshape(-1, 3), axis=0, return_inverse=True)
     membrane, bending = (
-        np.asarray(RegularGridInterpolator(grid, table, method="pchip")(points)).reshape(d.shape)
+        RegularGridInterpolator(grid, table, method="pchip")(points)[alike].reshape(d.shape)
         for table in (EFFECT_MEMBRANE, EFFECT_BENDING)
     )
     return membrane, bending
