@@ -5,6 +5,8 @@ import signal
 
 # As the command line does, before numpy loads (see ``phytac_design.cli.app``).
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Two processes of tests use both cores; more threads only cost their start.
+os.environ.setdefault("PHYTAC_THREADS", "1")
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

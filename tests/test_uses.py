@@ -2,19 +2,43 @@
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import design_hash, load_design
+from phytac_design.design.spec import Design
+from phytac_design.layout.sensor import Sensor
+from phytac_design.simulation.imaging.nominal_view import expected_views
+from phytac_design.stages.build import BuildResult, build
+from phytac_design.workflows import simulate
+
 USES = Path(__file__).parents[1] / "examples" / "uses"
+ACCURACY = replace(PRESETS["draft"], refine=2, truth_refine=4, sample_share=0.02, place_share=1.2)
 
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder for all of them: the handle is built once."""
+    """A folder for all of them: the handle is built once, on coarse meshes."""
     patch = pytest.MonkeyPatch()
     patch.syspath_prepend(str(USES))
+    import recorded
+
+    def coarse(design: Design, out: Path, **named: Any) -> BuildResult:
+        return build(design, out, **{**named, "accuracy": ACCURACY})
+
+    @cache
+    def views(_: str) -> Any:
+        return expected_views(Sensor(load_design(str(USES / "handle.toml"))))
+
+    patch.setattr(recorded, "build", coarse)
+    # What a design shows is found once.
+    patch.setattr(simulate, "expected_views", lambda sensor: views(design_hash(sensor.design)))
     yield tmp_path_factory.mktemp("uses")
     for name in ("recorded", "grip", "stroke", "objects", "cup"):
         sys.modules.pop(name, None)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot as plt
-from recorded import Handle, hand, handle, messages_of, moving, read, words
+from recorded import Handle, hand, handle, messages_of, moving, quick_of, read, words
 
 from phytac_decoder.serving.wire_protocol import Message
 from phytac_design.mechanics.shell.footprints import footprint_shares
@@ -45,9 +45,10 @@ REACH_MM = 60.0
 class Sensor:
     """The simulated sensor: forces of the two pads in, the decoder's message out."""
 
-    def __init__(self, handle_: Handle) -> None:
+    def __init__(self, handle_: Handle, *, quick: bool) -> None:
         self._handle = handle_
         scenario = moving(hand("grip"), np.ones((1, 2)))
+        scenario = quick_of(scenario) if quick else scenario
         job = Job(design=handle_.design, scenario=scenario, accuracy="draft")
         self._touches, unit = job.plan.touches, job.unit
         self._solver = Solver(
@@ -130,7 +131,7 @@ def trial(
 
 def main(out: Path, *, quick: bool = False) -> dict[str, str]:
     """Run the example; how each trial ended, by stiffness and whether there was feedback."""
-    sensor = Sensor(replace(handle(out), regions=()))
+    sensor = Sensor(replace(handle(out), regions=()), quick=quick)
     frames = 50 if quick else 240
     kinds = (0.3, 3.0) if quick else (0.3, 1.0, 3.0)
     fig, axes = plt.subplots(1, len(kinds), figsize=(4.2 * len(kinds), 3.6), layout="constrained")

@@ -174,7 +174,7 @@ def words(doc: str | None) -> argparse.Namespace:
 
 
 def quick_of(scenario: Scenario) -> Scenario:
-    """The same with a linear wall: an order of magnitude faster, less accurate."""
+    """The same with a linear wall and coarser pixels: much faster, less accurate."""
     data = scenario.model_dump(mode="json", exclude_unset=True)
-    data["solve"] = {**data.get("solve", {}), "displacement": "linear"}
+    data["solve"] = {**data.get("solve", {}), "displacement": "linear", "samples_per_pixel": 8}
     return parse_scenario(data, scenario.name)

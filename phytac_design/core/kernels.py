@@ -47,5 +47,9 @@ def in_bands(work: Callable[[int, int], None], rows: int, *, band_rows: int = 0)
     size = band_rows or max(1, -(-rows // threads))
     starts = list(range(0, rows, size))
     stops = [min(start + size, rows) for start in starts]
+    if min(threads, len(starts)) <= 1:
+        for start, stop in zip(starts, stops, strict=True):
+            work(start, stop)
+        return
     with ThreadPoolExecutor(max_workers=threads) as pool:
         list(pool.map(work, starts, stops))

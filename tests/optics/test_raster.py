@@ -191,3 +191,15 @@ def test_rasterising_twice_gives_the_same_bits(small: Bench) -> None:
     one, two = rasterise(scene, small.camera), rasterise(scene, small.camera)
     for name in ("part", "depth", "triangle"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+@pytest.mark.parametrize("threads", ["2", "5"])
+def test_threads_draw_what_one_draws(
+    few: Bench, monkeypatch: pytest.MonkeyPatch, threads: str
+) -> None:
+    scene = few.scene()
+    one = rasterise(scene, few.camera)
+    monkeypatch.setenv("PHYTAC_THREADS", threads)
+    several = rasterise(scene, few.camera)
+    np.testing.assert_array_equal(several.triangle, one.triangle)
+    np.testing.assert_array_equal(several.depth, one.depth)
