@@ -55,11 +55,12 @@ def find_code_arguments() -> Iterator[tuple[str, str, ast.expr]]:
         # Functions of this module that hand their parameter ``code`` to an error.
         helpers: dict[str, tuple[str, int]] = {"refuse": ("DesignError", 0)}
         for node in nodes:
-            if isinstance(node, ast.FunctionDef):
-                names = [argument.arg for argument in node.args.args]
-                for call in (item for item in ast.walk(node) if isinstance(item, ast.Call)):
-                    if name_of(call.func) in errors and "code" in names:
-                        helpers[node.name] = name_of(call.func), names.index("code")
+            names = [each.arg for each in node.args.args] if type(node) is ast.FunctionDef else []
+            if "code" not in names:
+                continue
+            for call in (item for item in ast.walk(node) if isinstance(item, ast.Call)):
+                if name_of(call.func) in errors:
+                    helpers[node.name] = name_of(call.func), names.index("code")
         for call in (node for node in nodes if isinstance(node, ast.Call)):
             place = f"{path.relative_to(ROOT)}:{call.lineno}"
             if name_of(call.func) in errors:

@@ -1,11 +1,15 @@
 """What a sensor's own samples teach the estimator ``auto``, on a sensor in closed form."""
 
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 
 from phytac_decoder.estimation.force_correction import ForceCorrection
+from phytac_decoder.estimation.locator import ContactLocator
+from phytac_design.datasets.samples import Samples
 from phytac_design.training.force_correction_fit import fit_correction, fit_spread
 from phytac_design.training.locator_calibration import (
     calibrate_locator,
@@ -25,24 +29,34 @@ from tests.decoder.flat_sensor import MARKERS, flat_locator
 from tests.refusals import refused
 
 LOCATOR = flat_locator(place_mm=3.0, noise_px=0.1)
-TRAINING = pressed(120, seed=1, slope=0.08)
-LEARNT, FACTS = calibrate_locator(LOCATOR, TRAINING, np.arange(120), force_max_N=25.0)
+
+
+@cache
+def training() -> Samples:
+    """Presses that the sensor learns from."""
+    return pressed(120, seed=1, slope=0.08)
+
+
+@cache
+def taught() -> tuple[ContactLocator, dict[str, float]]:
+    """What it learns, and the figures of that."""
+    return calibrate_locator(LOCATOR, training(), np.arange(120), force_max_N=25.0)
 
 
 def test_stiffness_noise_and_prior_are_found() -> None:
-    assert FACTS["stiffness"] == pytest.approx(STIFFNESS, rel=0.03)
-    assert FACTS["noise_px"] == pytest.approx(NOISE_PX, rel=0.15)
-    assert FACTS["place_mm"] == pytest.approx(PLACE_MM, rel=0.2)
-    assert LEARNT.prior.moments_sd_mm2[0] == pytest.approx(1.4, rel=0.3)
-    assert LEARNT.noise.centroid_px == FACTS["noise_px"]
+    assert taught()[1]["stiffness"] == pytest.approx(STIFFNESS, rel=0.03)
+    assert taught()[1]["noise_px"] == pytest.approx(NOISE_PX, rel=0.15)
+    assert taught()[1]["place_mm"] == pytest.approx(PLACE_MM, rel=0.2)
+    assert taught()[0].prior.moments_sd_mm2[0] == pytest.approx(1.4, rel=0.3)
+    assert taught()[0].noise.centroid_px == taught()[1]["noise_px"]
 
 
 def test_new_contacts_are_read_better_by_far() -> None:
     fresh = pressed(60, seed=2, slope=0.08)
     before = match_contacts(LOCATOR, fresh, np.arange(60))
-    after = match_contacts(replace(LEARNT, correction=None), fresh, np.arange(60))
-    assert LEARNT.correction is not None
-    factor = LEARNT.correction.factor(after.point_mm, after.force_N, after.signal_px)
+    after = match_contacts(replace(taught()[0], correction=None), fresh, np.arange(60))
+    assert taught()[0].correction is not None
+    factor = taught()[0].correction.factor(after.point_mm, after.force_N, after.signal_px)
     error = [
         float(np.mean(np.abs(force / truth - 1.0)))
         for force, truth in (
@@ -59,11 +73,11 @@ def test_new_contacts_are_read_better_by_far() -> None:
 
 def test_ninety_percent_lie_within_ninety_percent() -> None:
     fresh = pressed(200, seed=3, slope=0.08)
-    matches = match_contacts(replace(LEARNT, correction=None), fresh, np.arange(200))
-    learnt = LEARNT.correction
-    assert learnt is not None
-    force = matches.force_N * learnt.factor(matches.point_mm, matches.force_N, matches.signal_px)
-    inside = np.abs(force - matches.truth_N) < 1.6449 * learnt.spread_N(force, matches.sd_N)
+    matches = match_contacts(replace(taught()[0], correction=None), fresh, np.arange(200))
+    correction = taught()[0].correction
+    assert correction is not None
+    force = matches.force_N * correction.factor(matches.point_mm, matches.force_N, matches.signal_px)
+    inside = np.abs(force - matches.truth_N) < 1.6449 * correction.spread_N(force, matches.sd_N)
     assert 0.82 < inside.mean() < 0.97
 
 
@@ -137,7 +151,7 @@ def test_gains_and_noise_at_the_ends(scale: float, noise: float) -> None:
 
 
 def test_few_samples_determine_the_stiffness_alone() -> None:
-    learnt, facts = calibrate_locator(LOCATOR, TRAINING, np.arange(4), force_max_N=25.0)
+    learnt, facts = calibrate_locator(LOCATOR, training(), np.arange(4), force_max_N=25.0)
     assert facts["contacts"] == 6
     assert facts["stiffness"] == pytest.approx(STIFFNESS, rel=0.06)
     assert learnt.correction is not None
@@ -146,17 +160,17 @@ def test_few_samples_determine_the_stiffness_alone() -> None:
 
 
 def test_same_samples_same_locator() -> None:
-    again, facts = calibrate_locator(LOCATOR, TRAINING, np.arange(120), force_max_N=25.0)
-    assert facts == FACTS
+    again, facts = calibrate_locator(LOCATOR, training(), np.arange(120), force_max_N=25.0)
+    assert facts == taught()[1]
     assert again.correction is not None
-    assert LEARNT.correction is not None
-    assert (again.correction.weight == LEARNT.correction.weight).all()
+    assert taught()[0].correction is not None
+    assert (again.correction.weight == taught()[0].correction.weight).all()
 
 
 def test_samples_without_contacts_or_switches_are_rejected() -> None:
     with refused("samples-without-points"):
-        match_contacts(LOCATOR, replace(TRAINING, touches=None), np.arange(3))
-    dark = replace(TRAINING, bits_read=np.zeros_like(TRAINING.bits))
+        match_contacts(LOCATOR, replace(training(), touches=None), np.arange(3))
+    dark = replace(training(), bits_read=np.zeros_like(training().bits))
     with refused("no-switch-tripped"):
         calibrate_locator(LOCATOR, dark, np.arange(120), force_max_N=25.0)
 
