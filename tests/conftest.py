@@ -8,19 +8,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Two processes of tests use both cores; more threads only cost their start.
 os.environ.setdefault("PHYTAC_THREADS", "1")
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from phytac_design.engine.stage import graphics_libraries
-from phytac_design.mechanics.switch import design, feasible_range
 from phytac_design.optics import picture
-from phytac_design.stages import switch_stage
 from phytac_design.stages.build import BuildResult, build
 from phytac_shapes.errors import MissingPartError
+from tests.coarse_switches import coarse_bowls
 from tests.designs import small
 
 
@@ -50,40 +47,13 @@ def _no_picture(*_: object) -> None:
 
 
 @pytest.fixture(scope="session")
-def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None, _no_opengl: None) -> BuildResult:
+def built(
+    tmp_path_factory: pytest.TempPathFactory, own_cache: None, _no_opengl: None
+) -> BuildResult:
     """The small design, built whole at draft accuracy, with switches of the coarse mesh."""
     out = tmp_path_factory.mktemp("exports") / "small"
     with coarse_bowls():
         return build(small(), out, accuracy="draft", progress=lambda _: None)
-
-
-@contextmanager
-def coarse_bowls() -> Iterator[None]:
-    """Switches on the coarse mesh alone, four times as quick: for tests of what is beside them."""
-    with pytest.MonkeyPatch.context() as patch:
-        for module, name in (
-            (design, "press_bowl"),
-            (design, "limit_load"),
-            (feasible_range, "press_bowl"),
-        ):
-            patch.setattr(module, name, partial(_coarse, getattr(module, name)))
-        patch.setattr(switch_stage, "design_switch", _same_bowl)
-        yield
-
-
-def _coarse(exact: Callable[..., object], *given: object, **settings: object) -> object:
-    return exact(*given, **{**settings, "refine": 1})
-
-
-_BOWLS: dict[str, design.SwitchDesign] = {}
-
-
-def _same_bowl(*given: object) -> design.SwitchDesign:
-    """Most designs of tests have the same switch: each process solves it once."""
-    key = repr(given)
-    if key not in _BOWLS:
-        _BOWLS[key] = design.design_switch(*given)
-    return _BOWLS[key]
 
 
 @pytest.fixture

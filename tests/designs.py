@@ -11,6 +11,8 @@ from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
 
 CAMERA: dict[str, Any] = {"width_px": 432, "height_px": 324, "focal_px": 161.0}
+FINE_CAMERA: dict[str, Any] = {"width_px": 1296, "height_px": 972, "focal_px": 485.0}
+"""For what is judged by parts of a pixel."""
 COARSE = replace(
     PRESETS["draft"],
     frames=1,

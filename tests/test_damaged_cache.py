@@ -8,9 +8,8 @@ import pytest
 
 from phytac_design.engine.cache import damaged_file
 from phytac_design.stages.build import BuildResult, build
-from tests.conftest import coarse_bowls
+from tests.coarse_switches import coarse_bowls
 from tests.designs import small
-
 
 REBUILT = {".stl", ".3mf", ".gcode", ".npz", ".json", ".safetensors", ".step", ".png"}
 """Kinds of file whose stage is run again: what is written by libraries of many kinds."""

@@ -21,7 +21,7 @@ from phytac_design.stages.loaded_views_stage import (
     see_pressed,
 )
 from phytac_shapes.arrays import FloatArray
-from tests.designs import small
+from tests.designs import FINE_CAMERA, small
 
 
 def context_of(design: Design, accuracy: Accuracy = PRESETS["draft"], **more: Any) -> Context:
@@ -95,7 +95,7 @@ def test_first_places_are_the_tightest_and_the_others_far_apart(plain: Context) 
 def soft() -> Design:
     """A wall so soft, and rows so near, that markers fuse when pressed."""
     layout = {"kind": "straight", "rows": 12, "columns": 8, "height_far_mm": 8.0}
-    return small(layout=layout, material={"modulus_MPa": 400.0})
+    return small(layout=layout, material={"modulus_MPa": 400.0}, camera=FINE_CAMERA)
 
 
 def test_large_displacement_only_where_something_happens() -> None:

@@ -38,7 +38,7 @@ def training() -> Samples:
 
 
 @cache
-def taught() -> tuple[ContactLocator, dict[str, float]]:
+def taught() -> tuple[ContactLocator, dict[str, Any]]:
     """What it learns, and the figures of that."""
     return calibrate_locator(LOCATOR, training(), np.arange(120), force_max_N=25.0)
 
@@ -76,7 +76,9 @@ def test_ninety_percent_lie_within_ninety_percent() -> None:
     matches = match_contacts(replace(taught()[0], correction=None), fresh, np.arange(200))
     correction = taught()[0].correction
     assert correction is not None
-    force = matches.force_N * correction.factor(matches.point_mm, matches.force_N, matches.signal_px)
+    force = matches.force_N * correction.factor(
+        matches.point_mm, matches.force_N, matches.signal_px
+    )
     inside = np.abs(force - matches.truth_N) < 1.6449 * correction.spread_N(force, matches.sd_N)
     assert 0.82 < inside.mean() < 0.97
 

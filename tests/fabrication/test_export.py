@@ -105,7 +105,7 @@ def test_another_process_writes_the_same_bytes() -> None:
         "from phytac_design.solids.solid_mesh import *;"
         "from phytac_design.solids.mesh_export import *;"
         "from phytac_design.layout.sensor import Sensor;"
-        "c=Sensor.of(*built(shipped('cylinder60')));h=hashlib.sha256();"
+        "c=Sensor.of(*built(design()));h=hashlib.sha256();"
         "h.update(stl_bytes(to_triangles(shell_manifold(c))));"
         "h.update(threemf_bytes({k:to_triangles(b) for k,b in painted_manifolds(c).items()},"
         "name='x'));print(h.hexdigest())"

@@ -99,7 +99,8 @@ def test_marks_on_a_rim_that_no_camera_sees_are_named() -> None:
     sensor = Sensor(marked(reference_marks={"count": 12, "ends": "far"}))
     camera = sensor.cameras[0]
     scene = build_scene(sensor, tolerance_mm=0.05)
-    seen = mark_visibility(sensor, scene, camera, np.zeros((972, 1296, 3), dtype=np.uint8))
+    frame = np.zeros((camera.height_px, camera.width_px, 3), dtype=np.uint8)
+    seen = mark_visibility(sensor, scene, camera, frame)
     assert not seen.clear.any()
     text = marks_advice(sensor, seen.clear, seen.visible_px)
     assert "12 of 12 reference marks" in text

@@ -14,12 +14,12 @@ from phytac_design.optics.loaded_visibility import FUSED_PX, scene_state, visibi
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import pixels_alone
 from phytac_design.optics.render_scene import RenderScene, build_scene
-from tests.designs import small
+from tests.designs import FINE_CAMERA, small
 
 
 @pytest.fixture(scope="module")
 def sensor() -> tuple[Design, Markers, RenderScene, Camera]:
-    design = small()
+    design = small(camera=FINE_CAMERA)
     surface = design.surface()
     markers = make_markers(design, surface)
     camera = camera_of(design, surface)

@@ -35,9 +35,9 @@ from phytac_design.simulation.scenario.instance_scatter import draw_sensor_insta
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
 from phytac_shapes.arrays import BoolArray, FloatArray
-from tests.designs import drawn, of_shape, small
+from tests.designs import FINE_CAMERA, drawn, of_shape, small
 
-DESIGN = small()
+DESIGN = small(camera=FINE_CAMERA)
 SURFACE = DESIGN.surface()
 MARKERS = make_markers(DESIGN, SURFACE)
 READERS = Readers(
