@@ -36,14 +36,14 @@ from phytac_design.workflows.simulate import (
     simulate,
 )
 from phytac_shapes.errors import DesignError
-from tests.designs import small
+from tests.designs import CAMERA, small
 from tests.refusals import refused
 
 SMALL = small(
     shape={"length_mm": 40.0},
     layout={"rows": 5, "columns": 10, "height_far_mm": 4.0},
     training={"samples": 20},
-    camera={"width_px": 648, "height_px": 486, "focal_px": 242.0},
+    camera=CAMERA,
 )
 
 
