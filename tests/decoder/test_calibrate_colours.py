@@ -59,6 +59,23 @@ def test_markers_bits_and_shifts_survive_the_light(light: str) -> None:
     assert rms(seen.shift_px - usual.shift_px) < SAME_px
 
 
+def test_switches_survive_less_light_after_the_rest_frame() -> None:
+    bundle = calibrate_rest(plain_bundle(), draw(REST))
+    frame = lit(draw(PLACE, BITS, seed=2, tip_radius=2.4), (0.72, 0.72, 0.72))
+    assert measure_frame(bundle, frame).koi.tolist() == [45, 58, 70]
+    fixed = replace(bundle, colours=replace(bundle.colours, usual_weight=None))
+    assert len(measure_frame(fixed, frame).koi) < 3
+
+
+def test_tips_that_show_at_rest_are_measured_there() -> None:
+    """60 px of red are expected at rest, and the frame shows none: as little as is allowed."""
+    plain = plain_bundle()
+    tips = replace(plain.tips, red_rest_px=np.full(COUNT, 60.0), red_on_px=np.full(COUNT, 90.0))
+    bundle = calibrate_rest(replace(plain, tips=tips), draw(REST))
+    np.testing.assert_allclose(bundle.tips.red_rest_px, 48.0)
+    np.testing.assert_allclose(bundle.tips.red_on_px, 72.0)
+
+
 def test_what_that_is_worth() -> None:
     """By the design's colours alone: switches are missed in the dark."""
     gains = LIGHTS["two stops down"]

@@ -231,7 +231,8 @@ def test_light_is_that_of_paint_without_tips() -> None:
     image = discs([(30.0, 40.0), (60.0, 40.0)], ["blue", "red"], radius=5.0)
     rest = segment(discs([(30.0, 40.0)], ["blue"], radius=5.0), MODEL).usual_weight(3)
     assert np.isnan(rest[2])
-    model = replace(MODEL, usual_weight=rest)
+    # Tips that showed a little at rest, and are out now, are no light.
+    model = replace(MODEL, usual_weight=np.where(np.isnan(rest), 10.0, rest))
     assert model.light(segment(image, model)) == pytest.approx(1.0, abs=0.01)
     assert model.in_light(1.01) is model
     assert MODEL.light(segment(image, MODEL)) == 1.0
@@ -250,3 +251,22 @@ def test_red_that_shows_at_rest_is_measured_there() -> None:
     light = measured.red_light(1.1 * np.array([660.0, 360.0, 375.0, 0.0]))
     assert light == pytest.approx(1.1)
     assert replace(tips, red_rest_px=np.zeros(4)).red_light(np.zeros(4)) == 1.0
+
+
+def test_switches_allow_for_light_on_red() -> None:
+    """Tips that show at rest read as off when all of them are brighter, and as on when one is."""
+    places = [(30.0 + 30.0 * k, 60.0) for k in range(4)]
+    tips = TipModel(
+        on_px=np.array(places), red_rest_px=np.full(4, 64.0), red_on_px=np.full(4, 80.0)
+    )
+
+    def bits(radius: list[float]) -> list[bool]:
+        image = np.full((120, 160, 3), GREY, dtype=np.uint8)
+        for place, each in zip(places, radius, strict=True):
+            one = discs([place], ["red"], radius=each)
+            image = np.where((one != GREY).any(axis=2, keepdims=True), one, image)
+        seen = segment(image.astype(np.uint8), MODEL)
+        return read_switches(seen, tips, red_index=2, shift_px=np.zeros((4, 2))).tolist()
+
+    assert bits([5.0] * 4) == [False] * 4
+    assert bits([5.0, 5.0, 5.0, 5.9]) == [False, False, False, True]

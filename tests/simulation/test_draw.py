@@ -137,6 +137,15 @@ def test_a_gripper_keeps_its_shape_and_goes_round_the_seam() -> None:
     assert len(np.unique(got.force_N)) == len(got.force_N)
 
 
+def test_only_the_columns_that_are_pressed_are_modelled_finely() -> None:
+    own = scenario(touch={"samples": 6, "placement": "columns", "columns": [1, 2], "most": 2})
+    design, surface, _ = sensor("plane")
+    region, markers = plan(own, sensor("plane")).region, make_markers(design, surface)
+    across = markers.uv[np.isin(markers.column, [1, 2]), 1]
+    assert region.low[1] < across.min() < across.max() < region.high[1]
+    assert region.high[1] - region.low[1] < 0.6 * np.ptp(surface.domain[1])
+
+
 def test_a_gripper_without_room_is_refused() -> None:
     touch = {"multi_share": 1.0, "columns": [0], "grippers": [{"fingers": [[0, 0], [0, 1]]}]}
     with refused("gripper-no-room"):
