@@ -398,6 +398,22 @@ def test_switches_are_read_in_less_light() -> None:
         assert follower.follow(draw(REST)).koi.tolist() == []
 
 
+def test_tips_that_show_at_rest_show_the_light_on_red() -> None:
+    """All of them a third larger are brighter paint; one of them, a switch that is on."""
+    plain, every = make_bundle(), np.ones(COUNT, dtype=np.bool_)
+    areas = {"red_rest_px": np.full(COUNT, 55.0), "red_on_px": np.full(COUNT, 80.0)}
+    bundle = replace(plain, tips=replace(plain.tips, **areas))
+    usual, large = np.sqrt(55.0 / np.pi), np.sqrt(73.0 / np.pi)
+    follower = Follower(bundle, draw(REST, every, tip_radius=usual))
+    assert follower.follow(draw(REST, every, tip_radius=large)).koi.tolist() == []
+    one = draw(REST, every, tip_radius=usual)
+    bits = np.arange(COUNT) == 60
+    x, y = (REST[60] + TIP_OFF).astype(int)
+    out = draw(REST, bits, tip_radius=5.4)
+    one[y - 8 : y + 9, x - 8 : x + 9] = out[y - 8 : y + 9, x - 8 : x + 9]
+    assert follower.follow(one).koi.tolist() == [60]
+
+
 def test_every_other_pixel_is_nearly_as_good() -> None:
     places = press_and_slide(15, np.array([4.0, 3.0]))
     whole, some = (Follower(make_bundle(), draw(REST), stride=stride) for stride in (1, 2))
