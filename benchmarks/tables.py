@@ -24,9 +24,10 @@ HEADLINES: tuple[tuple[str, str], ...] = (
     ("visibility", "cylinder60 368, straight: at rest: fused"),
     ("visibility", "cylinder60-dense 744, spiral, line-of-sight heights: at rest: least gap, same"),
     ("mechanics", "cylinder60, 10 N on a 6 mm fingertip patch, refine 4: greatest"),
-    ("fabrication", "cylinder60: volume, manifold3d against OCC"),
     ("hands", "cylinder60 unit 1, points: learnt with friction 0 to 0.8, read with friction"),
     ("decoder", "cylinder60 unit 1, frames: auto, all heights"),
+    ("paper", "nominal print: fem_nn, calibrated: mean relative"),
+    ("paper", "mean of three scattered prints: fem_nn"),
     ("study", "dense-cylinder trial"),
 )
 """Rows of the README: benchmark and how the case begins; the first that matches is shown."""
@@ -61,6 +62,10 @@ SHORT: tuple[tuple[str, str], ...] = (
     ("decoder", "cylinder60 unit 1, frames: auto, middle heights: samples from which on"),
     ("decoder", "cnn on 598 samples"),
     ("decoder", "rest coordinates from one frame, RMSE, all"),
+    ("paper", "nominal print: fem, calibrated: mean relative"),
+    ("paper", "nominal print: fem_nn, calibrated: mean relative"),
+    ("paper", "nominal print: fem_nn, calibrated: mean absolute"),
+    ("paper", "mean of three scattered prints: fem_nn"),
     ("stability", "cases over all"),
     ("stability", "wrong"),
     ("tradeoff", "scene fingertip on cylinder60, standard: times cheaper than the whole"),
