@@ -234,7 +234,7 @@ def samples_of(design: Design, share: float) -> dict[str, int]:
 
 RESPONSE = Stage(
     name="response",
-    design_fields=("mechanics",),
+    design_fields=("mechanics", "switch.footprint_diameter_mm"),
     settings=("refine", "receptors"),
     depends_on=("views",),
     arrays=IMAGE_ARRAYS,
