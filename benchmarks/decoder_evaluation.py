@@ -27,7 +27,8 @@ from phytac_design.workflows.train_decoder import MECHANICS
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 LEARNT = ("fem_nn", "fem_nn_identity", "auto")
-TRAINERS_RUN = ("mechanics", *LEARNT)
+TRAINED = ("mechanics", *LEARNT)
+"""Trainers: the mechanics first, then the estimators that learn."""
 
 
 def mechanics(design: Design, accuracy: Preset) -> Context:
@@ -51,7 +52,7 @@ def train_decoder(
     plain: Bundle,
     data: DataSet,
     *,
-    names: Sequence[str] = TRAINERS_RUN,
+    names: Sequence[str] = TRAINED,
     start: Bundle | None = None,
     seed: int = 0,
 ) -> tuple[Bundle, dict[str, dict[str, Any]]]:

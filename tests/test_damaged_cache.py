@@ -48,10 +48,10 @@ def test_one_flipped_byte_in_each_kind_of_file(
         flip(path)
         assert damaged_file(folder) in {path.relative_to(folder).as_posix(), "stage.json"}
         flip(path)
-    spoilt = [kinds[kind] for kind in sorted(REBUILT)]
-    for path in spoilt:
+    overwritten = [kinds[kind] for kind in sorted(REBUILT)]
+    for path in overwritten:
         flip(path)
-    damaged = {path.relative_to(own).parts[0] for path in spoilt}
+    damaged = {path.relative_to(own).parts[0] for path in overwritten}
     reports: list[str] = []
     with coarse_bowls():
         again = build(

@@ -38,10 +38,10 @@ class CalibratedMechanics:
         With K and C of the calibrated shell.
     modulus : float
         Modulus over that of the design.
-    tip_sd_px : float
-        Standard deviation of key nodes' own shifts.
     spread : float
         0: forces act on the switches' footprints; 1: on the markers' cells.
+    tip_sd_px : float
+        Standard deviation of key nodes' own shifts.
     error_N : float
         Mean absolute error of the forces on key nodes.
     """
@@ -56,7 +56,7 @@ class CalibratedMechanics:
 def fit_mechanics(
     model: ForceModel, footprint_px: FloatArray, samples: Samples
 ) -> CalibratedMechanics:
-    """Fit modulus and spread to samples of known forces.
+    """Fit modulus, spread and the weight of key nodes' own shifts to samples of known forces.
 
     Parameters
     ----------

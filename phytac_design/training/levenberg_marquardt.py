@@ -21,8 +21,6 @@ from phytac_shapes.errors import InputError
 
 ITERATIONS_MAX, PATIENCE, RESTARTS = 150, 12, 2
 """Levenberg-Marquardt iterations; those without a lower validation error; random starts."""
-RANGE_MARGIN = 0.1
-"""A network is used this share of the range of its training inputs beyond them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +103,6 @@ def train_network(
     )
     fits = [_levenberg_marquardt(fitted, held_out, first) for first in starts]
     rmse_validation, rmse_train, rounds, parameters = min(fits, key=lambda fit: fit[0])
-    least, most = training.features.min(axis=0), training.features.max(axis=0)
-    margin = RANGE_MARGIN * (most - least)
     return TrainedNetwork(
         network=CascadeNetwork(
             parameters=parameters,
@@ -114,8 +110,8 @@ def train_network(
             scale_in=scale_in,
             scale_out=scale_out,
             base=base,
-            low=least - margin,
-            high=most + margin,
+            low=training.features.min(axis=0),
+            high=training.features.max(axis=0),
         ),
         seconds=time.perf_counter() - begin,
         rounds=rounds,

@@ -9,7 +9,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 from onnx.reference import ReferenceEvaluator
 
-from phytac_decoder.estimation.cascade_network import INPUTS, CascadeNetwork
+from phytac_decoder.estimation.cascade_network import INPUTS, CascadeNetwork, fade_mm
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_design.training.training_data import bundle_hash
 from phytac_shapes.arrays import FloatArray
@@ -17,7 +17,7 @@ from phytac_shapes.errors import InputError, NumericalError, OutputError
 
 OPSET, IR_VERSION = 17, 8
 """Versions of 2022, which current run times support."""
-BASE_FORCES = {"stiffness": "(K·U)_i", "key_nodes": "koi_inverse_i"}
+BASE_FORCES = {"stiffness": "(K·U)_i", "key_nodes": "ForceModel.base_forces('key_nodes', …)_i"}
 """What networks add to, by their base."""
 INPUT, OUTPUT, ROWS = "features_mm", "stiffness_N_per_mm", "key_nodes"
 
@@ -100,12 +100,16 @@ def network_model(network: CascadeNetwork, notes: Mapping[str, str]) -> onnx.Mod
     NumericalError
         If ONNX's checker rejects it.
     """
+    far = np.full(INPUTS, 1e300)
+    low = -far if network.low is None else network.low
+    high = far if network.high is None else network.high
     constants = {
         **network.layers(),
         "scale_in": network.scale_in,
         "scale_out": np.asarray(network.scale_out),
-        "low": np.full(INPUTS, -np.inf) if network.low is None else network.low,
-        "high": np.full(INPUTS, np.inf) if network.high is None else network.high,
+        "low": low,
+        "high": high,
+        "fade": fade_mm(low, high),
     }
     nodes = [
         helper.make_node("Div", [INPUT, "scale_in"], ["x"]),
@@ -120,16 +124,18 @@ def network_model(network: CascadeNetwork, notes: Mapping[str, str]) -> onnx.Mod
         helper.make_node("Min", ["raised", "high"], ["limited"]),
         helper.make_node("Sub", [INPUT, "limited"], ["beyond"]),
         helper.make_node("Abs", ["beyond"], ["away"]),
-        helper.make_node("ReduceMax", ["away"], ["farthest"], axes=[1], keepdims=0),
-        helper.make_node("Equal", ["farthest", "zero"], ["learnt"]),
-        helper.make_node("Where", ["learnt", "stiffness", "zero"], [OUTPUT]),
+        helper.make_node("Div", ["away", "fade"], ["faded"]),
+        helper.make_node("ReduceMax", ["faded"], ["farthest"], axes=[1], keepdims=0),
+        helper.make_node("Min", ["farthest", "one"], ["missing"]),
+        helper.make_node("Sub", ["one", "missing"], ["learnt"]),
+        helper.make_node("Mul", ["stiffness", "learnt"], [OUTPUT]),
     ]
     tensors = [
         numpy_helper.from_array(np.asarray(array, dtype=np.float64), name)
         for name, array in constants.items()
     ]
     tensors.append(numpy_helper.from_array(np.array([1], dtype=np.int64), "last"))
-    tensors.append(numpy_helper.from_array(np.array(0.0), "zero"))
+    tensors.append(numpy_helper.from_array(np.array(1.0), "one"))
     graph = helper.make_graph(
         nodes,
         "cascade",

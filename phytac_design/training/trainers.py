@@ -41,6 +41,13 @@ class TrainingTask:
     seed: int
     start: Bundle | None = None
 
+    @property
+    def points(self) -> list[Samples]:
+        """The three parts with points; none if a sample of any of them has none."""
+        parts = (self.training, self.validation, self.test)
+        points = [part.samples for part in parts if part.samples is not None and part.has_points]
+        return points if len(points) == len(parts) else []
+
 
 Trainer = Callable[[TrainingTask], tuple[ForceModel, dict[str, Any]]]
 """Returns the bundle's force model with one more estimator, and facts, plain JSON."""
@@ -66,12 +73,11 @@ def train_cascade(
                 f"the decoder to start from, of {task.start.design}, has no network {name} "
                 f"(its networks: {known}); train that one first, or leave --start out",
             )
-    model, parts = task.bundle.model, (task.training, task.validation, task.test)
+    model = task.bundle.model
     base: Base = "stiffness"
-    rows = [part.rows for part in parts]
-    points = [part.samples for part in parts if part.samples is not None and part.has_points]
-    if len(points) == len(parts):
-        rows, base = [_key_node_rows(model, samples) for samples in points], "key_nodes"
+    rows = [part.rows for part in (task.training, task.validation, task.test)]
+    if task.points:
+        rows, base = [_key_node_rows(model, samples) for samples in task.points], "key_nodes"
     fit = train_network(
         rows[0], rows[1], activation=activation, seed=task.seed, start=start, base=base
     )
@@ -92,10 +98,11 @@ def _key_node_rows(model: ForceModel, samples: Samples) -> KeyNodeData:
 
 def calibrate_fem(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
     """Calibrate the modulus, and how far forces spread, of the finite-element model (eq. 4)."""
-    model, samples = task.bundle.model, task.training.samples
-    if samples is None or model.footprint_px is None:
-        return model, {"left": "as designed: no points in the data"}
-    fit = fit_mechanics(model, model.footprint_px, samples)
+    model = task.bundle.model
+    # Stored inputs of networks are of the mechanics by design.
+    if not task.points or model.footprint_px is None:
+        return model, {"left": "as designed: data without points"}
+    fit = fit_mechanics(model, model.footprint_px, task.points[0])
     names = ("modulus", "spread", "tip_sd_px", "error_N")
     return fit.model, {name: getattr(fit, name) for name in names}
 

@@ -145,8 +145,8 @@ def test_training_finds_a_stiffness_the_affine_net_cannot() -> None:
     for activation in ("rectified", "identity"):
         net = train_network(train, validation, activation=activation, seed=0).network
         guess = test.stiffness_force_N + net(test.features) * test.apparent_mm
-        learnt = net.learnt(test.features)
-        assert learnt.sum() > 150
+        learnt = net.learnt(test.features) == 1.0
+        assert learnt.sum() > 100
         error[activation] = float(np.sqrt(((guess - test.force_N)[learnt] ** 2).mean()))
     assert error["rectified"] < 0.1 * error["identity"]
     assert error["identity"] < 0.3 * test.force_N.std()
@@ -158,9 +158,14 @@ def test_beyond_its_training_a_network_adds_nothing() -> None:
     edge = train.features.max(axis=0)
     inside = np.tile(train.features.mean(axis=0), (2, 1))
     outside = inside.copy()
-    inside[1, 4], outside[1, 4] = edge[4], 1.5 * edge[4]
+    span = np.ptp(train.features[:, 4])
+    inside[1, 4], outside[1, 4] = edge[4], edge[4] + 1.1 * span
     assert (net(inside) != 0.0).all()
     assert net(outside).tolist() == [net(inside)[0], 0.0]
+    # It fades, and does not jump.
+    places = np.tile(inside[1], (200, 1))
+    places[:, 4] += np.linspace(0.0, 1.1 * span, 200)
+    assert np.abs(np.diff(net(places))).max() < 0.05 * np.abs(net(places)).max()
     model = replace(force_model(), networks={"fem_nn": net})
     koi, far = np.array([4]), np.full((N, 2), 9.0)
     assert (model.forces("fem_nn", far, koi) == model.forces("fem", far, koi)).all()

@@ -214,7 +214,7 @@ def test_less_light_is_followed() -> None:
     )
     paints = ["blue", "green", "blue", "green"]
     rest = segment(discs(places, paints), MODEL)
-    model = replace(MODEL, usual_weight=rest.usual_weight(3))
+    model = replace(MODEL, usual_weight=rest.usual_weight(3)[None])
     bright = discs([*places, *tips.on_px[:2].tolist()], [*paints, "red", "red"])
     dim = np.rint(0.72 * bright).astype(np.uint8)
 
@@ -232,10 +232,15 @@ def test_light_is_that_of_paint_without_tips() -> None:
     rest = segment(discs([(30.0, 40.0)], ["blue"], radius=5.0), MODEL).usual_weight(3)
     assert np.isnan(rest[2])
     # Tips that showed a little at rest, and are out now, are no light.
-    model = replace(MODEL, usual_weight=np.where(np.isnan(rest), 10.0, rest))
+    model = replace(MODEL, usual_weight=np.where(np.isnan(rest), 10.0, rest)[None])
     assert model.light(segment(image, model)) == pytest.approx(1.0, abs=0.01)
     assert model.in_light(1.01) is model
     assert MODEL.light(segment(image, MODEL)) == 1.0
+    # The markers of another camera are larger.
+    two = replace(MODEL, usual_weight=np.stack([2.0 * rest, rest]))
+    seen = segment(image, MODEL)
+    assert two.light(seen, 1) == pytest.approx(1.0, abs=0.01)
+    assert two.light(seen, 0) < 0.5
 
 
 def test_red_that_shows_at_rest_is_measured_there() -> None:

@@ -6,13 +6,15 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.arrays import FloatArray, IntArray
 
 Activation = Literal["rectified", "identity"]
 Base = Literal["stiffness", "key_nodes"]
 BASES: tuple[str, ...] = get_args(Base)
 ACTIVATIONS: tuple[str, ...] = get_args(Activation)
 INPUTS, HIDDEN = 10, 10
+FADE = 1.0
+"""A network's stiffness fades to 0 over this share of the range of an input beyond it."""
 SHAPES: dict[str, tuple[int, ...]] = {
     "w1": (HIDDEN, INPUTS),
     "b1": (HIDDEN,),
@@ -44,7 +46,8 @@ class CascadeNetwork:
         1.15), or the forces on key nodes alone that explain the shifts of all markers best
         (``key_nodes``).
     low, high : (10,) float, optional
-        Least and largest inputs that it learnt from, mm; beyond them k is 0. None: everywhere.
+        Least and largest inputs that it learnt from, mm; k fades to 0 within ``FADE`` of that range
+        beyond. None: everywhere.
     """
 
     parameters: FloatArray
@@ -63,13 +66,21 @@ class CascadeNetwork:
         """Return the stiffness k (m,) in N/mm for features (m, 10) in mm."""
         rectified = self.activation == "rectified"
         k = forward(self.layers(), features / self.scale_in, rectified=rectified)[1]
-        return np.asarray(np.where(self.learnt(features), k * self.scale_out, 0.0))
+        return np.asarray(self.learnt(features) * k * self.scale_out)
 
-    def learnt(self, features: FloatArray) -> BoolArray:
-        """Whether features (m, 10) mm are within the range that the network learnt from, (m,)."""
+    def learnt(self, features: FloatArray) -> FloatArray:
+        """Share (m,) of k that counts: 1 for features (m, 10) mm as learnt, 0 far beyond them."""
         if self.low is None or self.high is None:
-            return np.ones(len(features), dtype=np.bool_)
-        return np.asarray(np.all((features >= self.low) & (features <= self.high), axis=1))
+            return np.ones(len(features))
+        beyond = np.abs(features - np.clip(features, self.low, self.high)) / fade_mm(
+            self.low, self.high
+        )
+        return np.asarray(1.0 - np.minimum(beyond.max(axis=1), 1.0))
+
+
+def fade_mm(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return how far (10,) beyond the range of its inputs a network's stiffness is 0."""
+    return np.asarray(np.maximum(FADE * (high - low), 1e-9))
 
 
 def forward(

@@ -124,7 +124,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
 
     calibrated = replace(
         lit,
-        colours=replace(lit.colours, usual_weight=np.mean(weights, axis=0)),
+        colours=replace(lit.colours, usual_weight=np.stack(weights)),
         shown=tuple(shown) if bundle.shown else (),
         marks=replace(lit.marks, rest_px=marks_px),
         rest_px=read([item.rest_px for item in shown]),

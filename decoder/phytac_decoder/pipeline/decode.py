@@ -287,7 +287,7 @@ def locate_in(
     """
     camera = bundle.cameras[number]
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
-    blobs = segment_in_its_light(image_bgr, bundle.colours)
+    blobs = segment_in_its_light(image_bgr, bundle.colours, camera=number)
     blobs_max = 8.0  # per marker, of a frame of the sensor
     if len(blobs.colour) > blobs_max * len(bundle.colour):
         raise InputError(

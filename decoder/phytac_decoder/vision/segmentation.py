@@ -45,9 +45,9 @@ class ColourModel:
         of a marker counts in part, as far as paint covers its pixels.
     bare : (k,) float, optional
         Share of each paint's full chroma that the bare wall shows; none if not given.
-    usual_weight : (k,) float, optional
-        Median weight of each paint's blobs in the rest frame, NaN of paint without blobs; the light
-        is not followed if not given.
+    usual_weight : (c, k) float, optional
+        Median weight of each paint's blobs in the rest frame of each camera, NaN of paint without
+        blobs; the light is not followed if not given.
     """
 
     names: tuple[str, ...]
@@ -84,14 +84,14 @@ class ColourModel:
         edge = cls.floor if set(DOTS) & set(paints) else cls.edge
         return cls(names=tuple(paints), chroma=ycc[:, 1:] - 128.0, edge=edge)
 
-    def light(self, blobs: "Blobs") -> float:
+    def light(self, blobs: "Blobs", camera: int = 0) -> float:
         """Chroma of the markers' paints in an image over that in the rest frame; 1 if unknown.
 
         The tips' red, which shows with the switches, does not count.
         """
         if self.usual_weight is None:
             return 1.0
-        change = blobs.usual_weight(len(self.names)) / self.usual_weight
+        change = blobs.usual_weight(len(self.names)) / self.usual_weight[camera]
         change = change[[name != "red" for name in self.names]]
         change = change[np.isfinite(change)]
         return float(np.exp(np.log(change).mean() / COUNTS_EXPONENT)) if len(change) else 1.0
@@ -272,13 +272,13 @@ def segment(
     )
 
 
-def segment_in_its_light(image_bgr: ImageArray, model: ColourModel) -> Blobs:
+def segment_in_its_light(image_bgr: ImageArray, model: ColourModel, *, camera: int = 0) -> Blobs:
     """Blobs of an image whose exposure may differ from that of the rest frame.
 
     Paint in less light would fall below the floor, and tips would show less red than their share.
     """
     blobs = segment(image_bgr, model)
-    lit = model.in_light(model.light(blobs))
+    lit = model.in_light(model.light(blobs, camera))
     return blobs if lit is model else segment(image_bgr, lit)
 
 
