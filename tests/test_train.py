@@ -194,6 +194,12 @@ def test_inputs_alone_train_networks_that_add_to_the_designs_own_mechanics(
     assert [item["fem_nn"]["base"] for item in trainers] == ["key_nodes", "stiffness"]
     assert "left" in trainers[1]["mechanics"]
     assert a < b < 0.5 * np.abs(rows.stiffness_force_N - rows.force_N).mean()
+    # Inputs of the designed mechanics beside points: the mechanics stay as designed.
+    write_samples(tmp_path / "more", pressed(context, LITTLE, 5), meta_of("tiny", HASH))
+    both = learn(tmp_path / "more", tmp_path / "inputs", name="both")
+    trained = json.loads((both / TABLE).read_text())["trainers"]
+    assert "left" in trained["mechanics"]
+    assert trained["fem_nn"]["base"] == "stiffness"
     made_finer = meta_of("tiny", HASH, notes={"accuracy": "fine"})
     write_samples(tmp_path / "finer", inputs_alone(samples, rows), made_finer)
     with refused("inputs-other-accuracy") as caught:
