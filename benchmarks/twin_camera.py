@@ -141,7 +141,7 @@ def readable(table: Table, case: CameraCase) -> None:
     for state in (False, True):
         bits = np.full(case.markers.count, state)
         try:
-            matched, on = locate_markers(model.nominal, model.frame(still, bits, 1.0, rng))
+            matched, on, _ = locate_markers(model.nominal, model.frame(still, bits, 1.0, rng))
         except InputError as error:
             lost, why = lost + case.markers.count, str(error)
             continue

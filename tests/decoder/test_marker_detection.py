@@ -200,7 +200,7 @@ def test_switch_bits_follow_the_red() -> None:
     )
     image = discs([(41.0, 40.0), (100.0, 40.0)], ["red", "red"], radius=5.0)
     image[36:45, 100:112] = GREY  # half of the second tip is still in its hole
-    bits = read_switches(segment(image, MODEL), tips, red_index=2, shift_px=np.zeros((3, 2)))
+    bits, _ = read_switches(segment(image, MODEL), tips, red_index=2, shift_px=np.zeros((3, 2)))
     assert bits.tolist() == [True, False, False]
 
 
@@ -219,7 +219,7 @@ def test_less_light_is_followed() -> None:
     dim = np.rint(0.72 * bright).astype(np.uint8)
 
     def bits(blobs: Blobs) -> list[bool]:
-        return read_switches(blobs, tips, red_index=2, shift_px=np.zeros((4, 2))).tolist()
+        return read_switches(blobs, tips, red_index=2, shift_px=np.zeros((4, 2)))[0].tolist()
 
     assert model.light(segment(dim, model)) == pytest.approx(0.72, abs=0.06)
     for image in (bright, dim):
@@ -258,6 +258,18 @@ def test_red_that_shows_at_rest_is_measured_there() -> None:
     assert replace(tips, red_rest_px=np.zeros(4)).red_light(np.zeros(4)) == 1.0
 
 
+def test_tips_with_more_red_than_at_rest_are_half_out() -> None:
+    tips = TipModel(
+        on_px=np.zeros((6, 2)),
+        red_rest_px=np.array([20.0, 20.0, 20.0, 40.0, 4.0, 40.0]),
+        red_on_px=np.array([80.0, 80.0, 80.0, 60.0, 80.0, 50.0]),
+    )
+    red, on = np.array([32.0, 28.0, 60.0, 49.0, 30.0, 60.0]), np.array([0, 0, 1, 0, 0, 0]) > 0
+    # A fifth of the way; within the scatter of printed tips; on; too little of it; hidden at rest;
+    # not readable.
+    assert tips.half_out(red, on).tolist() == [True, False, False, False, False, False]
+
+
 def test_switches_allow_for_light_on_red() -> None:
     """Tips that show at rest read as off when all of them are brighter, and as on when one is."""
     places = [(30.0 + 30.0 * k, 60.0) for k in range(4)]
@@ -271,7 +283,7 @@ def test_switches_allow_for_light_on_red() -> None:
             one = discs([place], ["red"], radius=each)
             image = np.where((one != GREY).any(axis=2, keepdims=True), one, image)
         seen = segment(image.astype(np.uint8), MODEL)
-        return read_switches(seen, tips, red_index=2, shift_px=np.zeros((4, 2))).tolist()
+        return read_switches(seen, tips, red_index=2, shift_px=np.zeros((4, 2)))[0].tolist()
 
     assert bits([5.0] * 4) == [False] * 4
     assert bits([5.0, 5.0, 5.0, 5.9]) == [False, False, False, True]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_word
 from phytac_decoder.pipeline.fault_detection import FaultDetector
 from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers
 from phytac_decoder.vision.segmentation import Blobs, check_image, segment_in_its_light
-from phytac_decoder.vision.switch_detection import read_switches
+from phytac_decoder.vision.switch_detection import TIPS_FOR_LIGHT, read_switches
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
@@ -45,6 +46,8 @@ class FrameMeasurement:
         Markers that were left out because their paint is one with another's.
     marked : MarkedMotion, optional
         Motion of the cameras by reference marks, which is taken off the shifts.
+    half_out : (h,) int
+        Markers whose switch is off, and whose tip yet shows more red than at rest.
     """
 
     koi: IntArray
@@ -52,6 +55,7 @@ class FrameMeasurement:
     found: BoolArray
     merged: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     marked: MarkedMotion | None = None
+    half_out: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def forces_N(self, bundle: Bundle, estimator: str) -> FloatArray:
         """Inward force (n,) N on each marker; zero off the key nodes of interest."""
@@ -115,6 +119,12 @@ class FrameMeasurement:
                 "and a force may be the sum of several"
             )
         out += noisy_rims(found, chi2_allowed=_chi2_allowed(bundle))
+        if len(self.half_out) >= TIPS_FOR_LIGHT:
+            out.append(
+                f"{len(self.half_out)} tips whose switches are off ({id_list(self.half_out)}) show "
+                "more red than at rest: other switches may be read wrongly; check for red light, "
+                "or take a new rest frame if the light has changed"
+            )
         if len(self.koi) > 0.3 * len(self.found):
             out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
         return out
@@ -253,8 +263,16 @@ def prepared_frames(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:
     return tuple(bundle.colours.prepared(each) for each in one_frame_per_camera(bundle, frames))
 
 
-def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
-    """Positions of markers and reference marks (n + r, 2), and switches (n,).
+class Located(NamedTuple):
+    """Markers and reference marks (n + r), switches (n,) and tips that are half out (n,)."""
+
+    matched: Matched
+    switch_on: BoolArray
+    half_out: BoolArray
+
+
+def locate_markers(bundle: Bundle, frames: Frames) -> Located:
+    """Positions of markers and reference marks, and switches.
 
     Each is seen through the camera that reads it.
 
@@ -270,10 +288,14 @@ def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
         np.stack(part)[bundle.spot_read_by, np.arange(len(bundle.spot_colour))]
         for part in zip(*((found.position_px, found.merged) for found, _ in each), strict=True)
     )
-    on = [_switches_in(bundle, number, *seen) for number, seen in enumerate(each)]
-    switch_on = np.stack(on)[bundle.read_by, np.arange(len(bundle.colour))]
+    tips = np.stack([_switches_in(bundle, number, *seen) for number, seen in enumerate(each)])
+    switch_on, half_out = tips[bundle.read_by, :, np.arange(len(bundle.colour))].T
     found = np.isfinite(position[:, 0])
-    return Matched(position_px=position, found=found, merged=merged), switch_on
+    return Located(
+        matched=Matched(position_px=position, found=found, merged=merged),
+        switch_on=switch_on,
+        half_out=half_out,
+    )
 
 
 def locate_in(
@@ -319,8 +341,10 @@ def locate_in(
     return matched, blobs
 
 
-def _switches_in(bundle: Bundle, number: int, matched: Matched, blobs: Blobs) -> BoolArray:
-    """Switches (n,) by one camera's blobs."""
+def _switches_in(
+    bundle: Bundle, number: int, matched: Matched, blobs: Blobs
+) -> tuple[BoolArray, BoolArray]:
+    """Switches (n,), and tips that are half out, by one camera's blobs."""
     shown = bundle.shown_by(number)
     own = np.where(matched.merged[:, None], np.nan, matched.position_px)[: len(bundle.colour)]
     return read_switches(
@@ -338,7 +362,7 @@ def rest_positions(bundle: Bundle, rest_bgr: Frames | None) -> FloatArray:
     """
     if rest_bgr is None:
         return bundle.spot_rest_px
-    matched, _ = locate_markers(bundle, rest_bgr)
+    matched = locate_markers(bundle, rest_bgr).matched
     return np.where(matched.found[:, None], matched.position_px, bundle.spot_rest_px)
 
 
@@ -363,7 +387,7 @@ def measure_frame(
     InputError
         See :func:`locate_markers`.
     """
-    matched, switch_on = locate_markers(bundle, image_bgr)
+    matched, switch_on, half_out = locate_markers(bundle, image_bgr)
     rest = bundle.spot_rest_px if rest_px is None else rest_px
     position = np.where(matched.merged[:, None], np.nan, matched.position_px)
     koi, shift, marked = corrected_shift(bundle, switch_on, position[: len(rest)] - rest)
@@ -374,6 +398,7 @@ def measure_frame(
         found=np.isfinite(position[:count, 0]),
         merged=np.flatnonzero(matched.merged[:count]),
         marked=marked,
+        half_out=np.flatnonzero(half_out),
     )
 
 

@@ -80,7 +80,7 @@ def with_light_response(bundle: Bundle, rest_frames: Frames) -> Bundle:
     sds: list[float] = []
     for disturb, size, sd in disturbances:
         try:
-            matched, _ = locate_markers(bundle, [disturb(frame) for frame in frames])
+            matched = locate_markers(bundle, [disturb(frame) for frame in frames]).matched
         except InputError:
             # So small or weak markers are not found after such a change in use either.
             continue

@@ -205,6 +205,7 @@ class Follower:
             marked=marked,
             position_px=position[:count],
             paint=self._read([item.paint for item in seen])[:count],
+            half_out=np.flatnonzero(self._read([item.half_out for item in seen])[:count]),
             flags=tuple(flag for item in seen for flag in item.flags),
         )
 
@@ -221,6 +222,7 @@ class Observed(NamedTuple):
 
     position_px: FloatArray
     switch_on: BoolArray
+    half_out: BoolArray
     paint: FloatArray
     flags: tuple[str, ...] = ()
 
@@ -478,11 +480,13 @@ class CameraFollower:
         red = red / np.clip(np.median(share[got]) if got.any() else 1.0, LIGHT_MIN, LIGHT_MAX)
         red = red / self._tip_model.red_light(red)
         self._on = red > np.where(self._on, self._off_below, self._on_above)
-        switch_on = np.zeros(len(got), dtype=np.bool_)
+        switch_on, half_out = np.zeros((2, len(got)), dtype=np.bool_)
         switch_on[self._tips] = self._on
+        half_out[self._tips] = self._tip_model.half_out(red, self._on)
         return Observed(
             position_px=self._of_bundle(np.where(got[:, None], self.place_px, np.nan), np.nan),
             switch_on=self._of_bundle(switch_on, fill=False),
+            half_out=self._of_bundle(half_out, fill=False),
             paint=self._of_bundle(share, 0.0),
         )
 

@@ -204,7 +204,7 @@ class ImagingModel:
         rest = self.at_rest
         bundle = rest.bundle
         try:
-            matched, bits = locate_markers(bundle, frames)
+            matched, bits, _ = locate_markers(bundle, frames)
         except InputError as error:
             return MarkerReading.nothing(self.count, str(error))
         moved = matched.position_px - rest.rest_px

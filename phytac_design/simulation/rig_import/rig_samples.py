@@ -89,7 +89,7 @@ def rest_positions_of(
     for text, source in zip(rest, rig.sources, strict=True):
         number = source.find(text)
         images.append(read_image(Path(text)) if number is None else source.read(number))
-    _, bits = locate_markers(rig.bundle, images)
+    bits = locate_markers(rig.bundle, images).switch_on
     if bits.any():
         progress(f"warning: {int(bits.sum())} switches read as on in the picture at rest; is it?")
     return rest_positions(rig.bundle, images)
