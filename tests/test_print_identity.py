@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera import Camera
+from phytac_decoder.estimation.estimators import MeasuredColumns
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import SETTINGS as LOCATOR
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
@@ -64,9 +65,13 @@ def trained(bundle: Bundle, *, stiffness: float) -> Bundle:
     fitted = ForceCorrection.plain(low_mm=box.min(axis=0), size_mm=60.0, force_max_N=25.0)
     fitted = replace(fitted, spread_share=0.01, stiffness=stiffness)
     own = replace(locator, places=locator.places.scaled(stiffness), correction=fitted)
+    pressed = np.array([20, 4])
+    columns = MeasuredColumns(
+        marker=pressed, shift_px=bundle.model.compliance_px[:, pressed] / stiffness
+    )
     return replace(
         bundle,
-        model=replace(bundle.model, locator=own),
+        model=replace(bundle.model, locator=own, measured=columns),
         learnt_rest_px=rest_of(bundle, 1)[None],
     )
 
@@ -116,6 +121,8 @@ def test_another_print_is_read_as_an_unknown_one(plain: Bundle) -> None:
     assert not [text for text in bundle.limits() if text.startswith("another-print: ")]
     assert now.model.locator is not None
     assert now.model.locator.correction is None
+    assert bundle.model.measured is not None
+    assert now.model.measured is None
     # A press of 5 N on a sensor as designed.
     shift = 5.0 * plain.model.compliance_px[:, 20].reshape(-1, 2)
     koi = np.array([20])
@@ -124,6 +131,8 @@ def test_another_print_is_read_as_an_unknown_one(plain: Bundle) -> None:
     share = [one.sd_N / one.force_N for one in (learnt, unknown)]
     wider = np.sqrt(LOCATOR.stiffness_sd**2 - bundle.model.locator.correction.spread_share**2)
     assert np.sqrt(share[1] ** 2 - share[0] ** 2) == pytest.approx(wider, rel=0.05)
+    inverse = (each.model.forces("koi_inverse", shift, koi)[20] for each in (bundle, now))
+    np.testing.assert_allclose(list(inverse), [6.0, 5.0], rtol=1e-6)
     # A second rest frame changes nothing more.
     assert for_this_print(now) is now
 
@@ -184,6 +193,17 @@ def test_rest_positions_of_other_markers_are_refused(plain: Bundle, tmp_path: Pa
     write_samples(tmp_path / "data", samples, replace(meta, notes=notes))
     with refused("data-set-table-invalid"):
         read_samples(tmp_path / "data")
+
+
+def test_measured_columns_are_kept(built: BuildResult, tmp_path: Path) -> None:
+    bundle = trained(load_bundle(built.out / "decoder"), stiffness=1.2)
+    save_bundle(bundle, tmp_path)
+    model = load_bundle(tmp_path).model
+    np.testing.assert_allclose(model.response_px, bundle.model.response_px, rtol=1e-6, atol=1e-12)
+    columns = MeasuredColumns(marker=np.array([20, 999]), shift_px=model.compliance_px[:, :2])
+    save_bundle(replace(bundle, model=replace(model, measured=columns)), tmp_path)
+    with refused("bundle-id-invalid"):
+        load_bundle(tmp_path)
 
 
 def test_a_damaged_array_is_refused(built: BuildResult, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from phytac_decoder.estimation.cascade_network import ACTIVATIONS, CascadeNetwork, parameter_count
+from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_design.cli.app import app
 from phytac_design.datasets.samples import Samples, inputs_alone, key_nodes
@@ -133,7 +134,7 @@ def test_mechanics_find_how_far_forces_spread(context: Context) -> None:
         between = model.footprint_px + spread * (model.compliance_px - model.footprint_px)
         real = replace(model, compliance_px=between)
         samples = presses(real, context.markers.uv, count=60, seed=3, softer=1.1, noise_px=0.01)
-        fit = fit_mechanics(model, model.footprint_px, samples)
+        fit = fit_mechanics(model, model.footprint_px, samples, pressed(context, 3, 1))
         assert fit.spread == pytest.approx(spread, abs=0.1)
         assert fit.modulus == pytest.approx(1.0 / 1.1, rel=0.03)
         assert fit.error_N < 0.4
@@ -151,9 +152,53 @@ def test_mechanics_find_how_far_forces_spread(context: Context) -> None:
 def test_too_few_key_nodes_leave_the_mechanics_as_designed(context: Context) -> None:
     model = untrained_model(context)
     assert model.footprint_px is not None
-    fit = fit_mechanics(model, model.footprint_px, pressed(context, 3, 0))
-    assert (fit.modulus, fit.spread) == (1.0, 1.0)
+    few = pressed(context, 3, 0)
+    fit = fit_mechanics(model, model.footprint_px, few, few)
+    assert (fit.modulus, fit.spread, fit.columns) == (1.0, 1.0, 0)
     assert fit.model is model
+
+
+def uneven_print(model: ForceModel, number: int) -> ForceModel:
+    """A print whose markers move otherwise than by design, each by 15 % under each force."""
+    count = len(model.height_z_mm)
+    factor = 1.0 + 0.15 * np.random.default_rng(number).standard_normal((count, count))
+    return replace(model, compliance_px=factor.repeat(2, axis=0) * model.compliance_px)
+
+
+def test_columns_of_an_uneven_print_are_measured(context: Context) -> None:
+    """Where markers move otherwise than by design, the forces of several contacts come right."""
+    model = untrained_model(context)
+    assert model.footprint_px is not None
+    count, real = context.markers.count, uneven_print(model, 5)
+    samples, validation, test = (
+        presses(real, context.markers.uv, count=each, seed=seed, noise_px=0.003)
+        for each, seed in ((300, 0), (30, 1), (60, 2))
+    )
+    # One that was not found measures nothing.
+    assert samples.shift_px is not None
+    samples.shift_px[::7, 4] = np.nan
+    fit = fit_mechanics(model, model.footprint_px, samples, validation)
+    assert fit.columns == count
+    sound = fit.model.response_px - real.compliance_px
+    before = fit.model.compliance_px - real.compliance_px
+    assert np.linalg.norm(sound) < 0.45 * np.linalg.norm(before)
+    errors = []
+    for each in (fit.model, replace(fit.model, measured=None)):
+        found = decode_contacts(each, test, estimators=["koi_inverse"])
+        errors.append(np.abs(found.decoded_N["koi_inverse"] - found.force_N)[found.tripped].mean())
+    assert errors[0] < 0.4 * errors[1]
+
+
+def test_columns_stay_by_design_where_measured_ones_are_no_better(context: Context) -> None:
+    model = untrained_model(context)
+    assert model.footprint_px is not None
+    samples, validation = (
+        presses(uneven_print(model, number), context.markers.uv, count=100, seed=number)
+        for number in (1, 2)
+    )
+    fit = fit_mechanics(model, model.footprint_px, samples, validation)
+    assert fit.columns == 0
+    assert fit.model.measured is None
 
 
 def test_the_same_inputs_give_the_same_bundle(learn: Callable[..., Path], little: Path) -> None:

@@ -1,8 +1,9 @@
 """Calibration of the finite-element model by known contacts, before any network (paper, eq. 4).
 
-Three parameters: the modulus; how far the force of a contact spreads, between the footprint of its
-switch and the cell of a marker; and how little a key node's own shift counts, as its tip covers
-paint. They minimise the sum of absolute force errors on the key nodes.
+Three parameters of the whole shell: the modulus; how far the force of a contact spreads, between
+the footprint of its switch and the cell of a marker; and how little a key node's own shift counts,
+as its tip covers paint. They minimise the sum of absolute force errors on the key nodes. Then the
+columns of the compliance, which a print has otherwise than its design, are measured.
 """
 
 from collections.abc import Sequence
@@ -10,8 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phytac_decoder.estimation.estimators import ForceModel, TIP_SD_px
-from phytac_design.datasets.samples import Samples, key_nodes
+from phytac_decoder.estimation.estimators import (
+    ForceModel,
+    MeasuredColumns,
+    NOISE_LEAST_px,
+    TIP_SD_px,
+)
+from phytac_design.datasets.samples import FAILED, Samples, key_nodes
 from phytac_design.training.join_datasets import select_samples
 from phytac_shapes.arrays import FloatArray
 
@@ -24,6 +30,15 @@ SPREADS = tuple(np.linspace(-0.25, 1.25, 7).tolist())
 cell; beyond, for patches that are smaller or larger."""
 MODULI = (0.5, 2.0)
 """Range of the modulus over the design's."""
+COLUMN_SDS = (0.1, 0.3)
+"""Standard deviations of the columns' entries over their size by design that are tried, beside none
+at all; the least validation error decides."""
+MODEL_ERROR = 0.03
+"""Share of a motion that no column explains, independently from contact to contact."""
+PRESSES_MIN = 2
+"""Contacts on a marker that measure its column, at least."""
+NOISE_SHARE_MIN = 0.2
+"""Changes of an entry that move a marker by less than this share of its noise are not sought."""
 NODES_MIN = 10
 """Key nodes under force that a calibration needs."""
 
@@ -42,6 +57,8 @@ class CalibratedMechanics:
         0: forces act on the switches' footprints; 1: on the markers' cells.
     tip_sd_px : float
         Standard deviation of key nodes' own shifts.
+    columns : int
+        Columns of the compliance that were measured.
     error_N : float
         Mean absolute error of the forces on key nodes.
     """
@@ -50,13 +67,14 @@ class CalibratedMechanics:
     modulus: float
     spread: float
     tip_sd_px: float
+    columns: int
     error_N: float
 
 
 def fit_mechanics(
-    model: ForceModel, footprint_px: FloatArray, samples: Samples
+    model: ForceModel, footprint_px: FloatArray, samples: Samples, validation: Samples
 ) -> CalibratedMechanics:
-    """Fit modulus, spread and the weight of key nodes' own shifts to samples of known forces.
+    """Fit modulus, spread, weight of key nodes' own shifts, and columns to samples of known forces.
 
     Parameters
     ----------
@@ -64,14 +82,19 @@ def fit_mechanics(
         By design: forces act on cells.
     footprint_px : (2n, n) float
         Shifts per newton on the switches' footprints.
-    samples : Samples
-        With points.
+    samples, validation : Samples
+        With points: to fit to, and to decide whether measured columns are better.
     """
     few = select_samples(samples, np.arange(min(samples.count, SAMPLES_MAX)))
 
     if len(key_nodes(model, few, noise_px=model.noise_px).force_N) < NODES_MIN:
         return CalibratedMechanics(
-            model=model, modulus=1.0, spread=1.0, tip_sd_px=model.tip_sd_px, error_N=float("nan")
+            model=model,
+            modulus=1.0,
+            spread=1.0,
+            tip_sd_px=model.tip_sd_px,
+            columns=0,
+            error_N=float("nan"),
         )
 
     def score(spread: float, tip_sd_px: float) -> tuple[float, float]:
@@ -93,9 +116,61 @@ def fit_mechanics(
         stiffness=fitted.stiffness * modulus,
         tip_sd_px=tip_sd_px,
     )
+    tries = [stiff, *(replace(stiff, measured=measure(stiff, samples, sd)) for sd in COLUMN_SDS)]
+    errors = [_error_N(tried, validation) for tried in tries]
+    model = tries[int(np.argmin(errors))]
     return CalibratedMechanics(
-        model=stiff, modulus=modulus, spread=spread, tip_sd_px=tip_sd_px, error_N=error_N
+        model=model,
+        modulus=modulus,
+        spread=spread,
+        tip_sd_px=tip_sd_px,
+        columns=0 if model.measured is None else len(model.measured.marker),
+        error_N=error_N,
     )
+
+
+def _error_N(model: ForceModel, samples: Samples) -> float:
+    """Mean absolute error of the forces on key nodes; infinite without any."""
+    rows = key_nodes(model, samples, noise_px=model.noise_px, base="key_nodes")
+    off = np.abs(rows.stiffness_force_N - rows.force_N)
+    return float(off.mean()) if len(off) else np.inf
+
+
+def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredColumns | None:
+    """Measure columns of the compliance by known forces; None if no marker was pressed often.
+
+    Each entry has the model's as prior mean, and as prior standard deviation ``column_sd`` times
+    the marker's shift by design (Bayesian linear regression, a marker at a time).
+    """
+    if samples.truth is None or samples.shift_px is None:
+        return None
+    count = len(model.height_z_mm)
+    usable = samples.status != FAILED
+    force = np.zeros((samples.count, count))
+    np.add.at(force, (samples.truth.sample, samples.truth.marker), samples.truth.force_N)
+    force, shift = force[usable], samples.shift_px[usable]
+    marker = np.flatnonzero(np.count_nonzero(force, axis=0) >= PRESSES_MIN)
+    if not len(marker):
+        return None
+    design = model.compliance_px.reshape(count, 2, count)
+    size = np.hypot(design[:, 0], design[:, 1])
+    residual = shift - np.einsum("sk,nik->sni", force, design)
+    moved = force**2 @ size.T**2
+    noise_px = max(model.noise_px, NOISE_LEAST_px)
+    largest = force.max(axis=0)
+    out = design[:, :, marker].copy()
+    for row in range(count):
+        known = np.isfinite(residual[:, row, 0])
+        sd = column_sd * size[row, marker]
+        sought = np.flatnonzero(sd * largest[marker] > NOISE_SHARE_MIN * noise_px)
+        if not len(sought) or not known.any():
+            continue
+        weight = 1.0 / (noise_px**2 + MODEL_ERROR**2 * moved[known, row])
+        scaled = force[np.ix_(known, marker[sought])] * sd[sought]
+        normal = scaled.T @ (weight[:, None] * scaled) + np.eye(len(sought))
+        right = scaled.T @ (weight[:, None] * residual[known, row])
+        out[row][:, sought] += (sd[sought, None] * np.linalg.solve(normal, right)).T
+    return MeasuredColumns(marker=marker, shift_px=out.reshape(2 * count, -1))
 
 
 def _modulus(found: FloatArray, truth: FloatArray) -> float:

@@ -102,8 +102,8 @@ def calibrate_fem(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
     # Stored inputs of networks are of the mechanics by design.
     if not task.points or model.footprint_px is None:
         return model, {"left": "as designed: data without points"}
-    fit = fit_mechanics(model, model.footprint_px, task.points[0])
-    names = ("modulus", "spread", "tip_sd_px", "error_N")
+    fit = fit_mechanics(model, model.footprint_px, task.points[0], task.points[1])
+    names = ("modulus", "spread", "tip_sd_px", "columns", "error_N")
     return fit.model, {name: getattr(fit, name) for name in names}
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.camera_motion import MARKED, MarkedMotion
+from phytac_decoder.estimation.estimators import MeasuredColumns
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.io.sensor_limits import axial_rotation, symmetric_turns
@@ -235,6 +236,10 @@ def test_a_decoder_of_one_print_or_scene_is_not_turned() -> None:
     scene = {"scene": {"name": "part", "regions": [], "in_play": [1, 2]}}
     with refused("shell-turned"):
         turned(replace(seeing(), notes=scene), 1)
+    plain = seeing()
+    columns = MeasuredColumns(marker=np.array([2]), shift_px=plain.model.compliance_px[:, 2:3])
+    with refused("shell-turned"):
+        turned(replace(plain, model=replace(plain.model, measured=columns)), 1)
 
 
 def ring(seed: int = 0) -> Bundle:

@@ -25,6 +25,22 @@ NOISE_LEAST_px = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
+class MeasuredColumns:
+    """Columns of C that known contacts have measured on one print.
+
+    Attributes
+    ----------
+    marker : (m,) int
+        Markers that were pressed.
+    shift_px : (2n, m) float
+        Pixel shifts of all markers per newton on each, px/N.
+    """
+
+    marker: IntArray
+    shift_px: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
 class ForceModel:
     """Matrices, networks and tables of one sensor's estimators; arrays run over n markers.
 
@@ -52,6 +68,8 @@ class ForceModel:
     tip_sd_px : float
         Standard deviation of a key node's own shift, beside the noise, in the forces that networks
         with the base ``key_nodes`` add to.
+    measured : MeasuredColumns, optional
+        Columns that stand in place of those of C; ``auto`` has corrections of its own.
     footprint_px : (2n, n) float, optional
         C of forces on the switches' footprints in place of the cells; for training, not saved.
     """
@@ -66,6 +84,7 @@ class ForceModel:
     camera_motion: CameraMotion | None = None
     noise_px: float = 0.06
     tip_sd_px: float = TIP_SD_px
+    measured: MeasuredColumns | None = None
     footprint_px: FloatArray | None = None
 
     @property
@@ -156,7 +175,7 @@ class ForceModel:
 
         For a force on marker i alone; no estimator without bias does better.
         """
-        signal = np.linalg.norm(self.compliance_px, axis=0)
+        signal = np.linalg.norm(self.response_px, axis=0)
         return np.asarray(1.0 / np.maximum(signal, 1e-300))
 
     def forces(self, estimator: str, shift_px: FloatArray, koi: IntArray) -> FloatArray:
@@ -200,9 +219,18 @@ class ForceModel:
         return np.asarray(self.stiffness[koi] @ u_mm)
 
     @cached_property
+    def response_px(self) -> FloatArray:
+        """C (2n, n), px/N, with the columns that were measured."""
+        if self.measured is None:
+            return self.compliance_px
+        out = self.compliance_px.copy()
+        out[:, self.measured.marker] = self.measured.shift_px
+        return out
+
+    @cached_property
     def patterns(self) -> tuple[FloatArray, FloatArray]:
         """Shifts (n, 2n) px/N, one row per force, and their products (n, n)."""
-        rows = np.ascontiguousarray(self.compliance_px.T)
+        rows = np.ascontiguousarray(self.response_px.T)
         return rows, rows @ rows.T
 
     def motion(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:

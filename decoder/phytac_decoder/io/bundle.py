@@ -26,7 +26,7 @@ from phytac_decoder.camera.camera_motion import (
     tabulate_camera_motion,
 )
 from phytac_decoder.estimation.cascade_network import ACTIVATIONS, BASES, INPUTS, CascadeNetwork
-from phytac_decoder.estimation.estimators import ForceModel, TIP_SD_px
+from phytac_decoder.estimation.estimators import ForceModel, MeasuredColumns, TIP_SD_px
 from phytac_decoder.estimation.force_regions import Region, regions_from_table, regions_to_table
 from phytac_decoder.io.bundle_camera import camera_from, camera_table
 from phytac_decoder.io.bundle_check import (
@@ -57,7 +57,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 16), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 17), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -295,6 +295,9 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         arrays |= {name: getattr(bundle.covers, name[6:]) for name in COVERS}
     if len(bundle.learnt_rest_px):
         arrays["learnt_rest_px"] = bundle.learnt_rest_px
+    if model.measured is not None:
+        arrays["measured_marker"] = model.measured.marker
+        arrays["measured_px"] = model.measured.shift_px.astype(np.float32)
     if bundle.shown:
         attributes = ("rest_px", *(f"tips.{attribute}" for attribute in TIPS.values()))
         for name, attribute in zip(SHOWN, attributes, strict=True):
@@ -467,6 +470,8 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         },
         # Up to schema 1.15 it was not used.
         tip_sd_px=bounded(meta.get("tip_sd_px", TIP_SD_px), "tip_sd_px"),
+        # Up to schema 1.16 there were none.
+        measured=_measured(arrays),
     )
     bundle = Bundle(
         design=str(meta["design"]),
@@ -527,6 +532,13 @@ def _heads_on_rays(arrays: dict[str, Any], cameras: Sequence[Camera]) -> FloatAr
         arm = out[own] - camera.position_mm
         out[own] = camera.position_mm + np.einsum("ni,ni->n", arm, ray)[:, None] * ray
     return out
+
+
+def _measured(arrays: dict[str, Any]) -> MeasuredColumns | None:
+    """Return the measured columns of the compliance, if there are any."""
+    if "measured_px" not in arrays:
+        return None
+    return MeasuredColumns(marker=arrays["measured_marker"], shift_px=arrays["measured_px"])
 
 
 def _network(name: str, table: dict[str, Any], parameters: FloatArray) -> CascadeNetwork:

@@ -52,6 +52,12 @@ COVERS: dict[str, tuple[int | str, ...]] = {
 }
 """Further arrays of a bundle of a sensor where tips cover k other markers."""
 
+MEASURED: dict[str, tuple[int | str, ...]] = {
+    "measured_marker": ("m",),
+    "measured_px": ("2n", "m"),
+}
+"""Further arrays of a bundle that has measured the response to forces on m markers."""
+
 
 def check_bundle(
     arrays: Mapping[str, Any],
@@ -82,6 +88,7 @@ def check_bundle(
     shapes |= SHOWN if cameras == 2 else {}
     shapes |= MARKS if "mark_point_mm" in arrays else {}
     shapes |= COVERS if "cover_marker" in arrays else {}
+    shapes |= MEASURED if "measured_px" in arrays else {}
     shapes |= {"learnt_rest_px": ("prints", "n", 2)} if "learnt_rest_px" in arrays else {}
     ids = {"neighbours": (-1, n), "colour": (0, colours), "read_by": (0, cameras)}
     if "mark_point_mm" in arrays:
@@ -90,12 +97,14 @@ def check_bundle(
         ids |= {"mark_read_by": ids["read_by"]}
     if "cover_marker" in arrays:
         ids |= dict.fromkeys(("cover_marker", "cover_tip"), (0, n))
+    if "measured_px" in arrays:
+        ids |= {"measured_marker": (0, n)}
     check_arrays(
         arrays,
         shapes,
         {"n": n, "2n": 2 * n},
         where=where,
-        kinds=dict.fromkeys(ids, np.int64),
+        kinds=dict.fromkeys(ids, np.int64) | {"measured_px": np.float32},
         # NaN marks what a camera does not see.
         partial=("tip_on_px", "shown_rest_px", "shown_tip_on_px", "mark_rest_px", "learnt_rest_px"),
     )

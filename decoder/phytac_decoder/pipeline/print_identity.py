@@ -85,5 +85,5 @@ def for_this_print(bundle: Bundle) -> Bundle:
     locator = bundle.model.locator
     if gap_mm is None or gap_mm <= SETTINGS.same_mm or bundle.other_print_mm or locator is None:
         return bundle
-    model = replace(bundle.model, locator=locator.for_another_print())
+    model = replace(bundle.model, locator=locator.for_another_print(), measured=None)
     return replace(bundle, model=model, other_print_mm=gap_mm)
