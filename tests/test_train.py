@@ -158,6 +158,22 @@ def test_too_few_key_nodes_leave_the_mechanics_as_designed(context: Context) -> 
     assert fit.model is model
 
 
+@pytest.mark.usefixtures("networks_alone")
+def test_a_modulus_beyond_its_range_is_reported(context: Context, tmp_path: Path) -> None:
+    said: list[str] = []
+    for softer in (1.5, 3.0):
+        out = tmp_path / f"{softer:g}"
+        samples = pressed(context, LITTLE, 0, softer=softer)
+        write_samples(out / "points", samples, meta_of("tiny", HASH))
+        said.clear()
+        train(DESIGN, [out / "points"], out / "decoder", accuracy="draft", progress=said.append)
+        warned = [text for text in said if "modulus beyond 0.5 to 2 times" in text]
+        assert len(warned) == (softer == 3.0)
+    facts = json.loads((out / "decoder" / TABLE).read_text())["trainers"]["mechanics"]
+    assert facts["modulus"] == 0.5
+    assert facts["warning"] in warned[0]
+
+
 def uneven_print(model: ForceModel, number: int) -> ForceModel:
     """A print whose markers move otherwise than by design, each by 15 % under each force."""
     count = len(model.height_z_mm)

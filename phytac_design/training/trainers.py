@@ -11,7 +11,7 @@ from phytac_decoder.estimation.cascade_network import Activation, Base
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
 from phytac_design.datasets.samples import THEORIES, KeyNodeData, Samples, key_nodes
-from phytac_design.training.fem_calibration import fit_mechanics
+from phytac_design.training.fem_calibration import MODULI, fit_mechanics
 from phytac_design.training.levenberg_marquardt import train_network
 from phytac_design.training.locator_calibration import calibrate_locator
 from phytac_design.training.training_data import SplitPart, data_of
@@ -104,7 +104,14 @@ def calibrate_fem(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
         return model, {"left": "as designed: data without points"}
     fit = fit_mechanics(model, model.footprint_px, task.points[0], task.points[1])
     names = ("modulus", "spread", "tip_sd_px", "columns", "error_N")
-    return fit.model, {name: getattr(fit, name) for name in names}
+    facts = {name: getattr(fit, name) for name in names}
+    if fit.modulus in MODULI:
+        facts["warning"] = (
+            f"the data show a modulus beyond {MODULI[0]:g} to {MODULI[1]:g} times the design's "
+            f"(it stays at {fit.modulus:g} times): forces of fem, koi_inverse and networks are "
+            "scaled wrongly; check the unit of the forces, and the design's material and thickness"
+        )
+    return fit.model, facts
 
 
 def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:

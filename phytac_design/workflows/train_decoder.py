@@ -189,6 +189,8 @@ def run_trainers(
         bundle = replace(bundle, model=model)
         facts[name] = found | {"seconds": round(time.perf_counter() - begin, 3)}
         progress(f"train: {name} {facts[name]['seconds']:.1f} s")
+        if "warning" in found:
+            progress(f"warning: {found['warning']}")
     return bundle, facts
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera import Camera
+from phytac_decoder.estimation.cascade_network import CascadeNetwork, parameter_count
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.pipeline.decode import FrameMeasurement, confirmed_switches
@@ -217,3 +218,17 @@ def test_frames_warn_of_estimators_that_cannot_be_used() -> None:
     for estimator in ("koi_inverse", "auto"):
         quiet = measured.warnings(bundle, forces, estimator=estimator)
         assert not any("cannot be used" in text for text in quiet)
+    # Networks that add to the forces on key nodes take no K·u.
+    for base in ("stiffness", "key_nodes"):
+        net = CascadeNetwork(
+            parameters=np.zeros(parameter_count()),
+            activation="rectified",
+            scale_in=np.ones(10),
+            scale_out=1.0,
+            base=base,
+        )
+        learnt = replace(bundle, model=replace(bundle.model, networks={"fem_nn": net}))
+        texts = measured.warnings(learnt, forces, estimator="fem_nn")
+        assert any("cannot be used" in text for text in texts) == (base == "stiffness")
+        (limit,) = [text for text in learnt.limits() if "cannot be used" in text]
+        assert limit.startswith("fem, fem_nn cannot" if base == "stiffness" else "fem cannot")

@@ -98,6 +98,12 @@ class ForceModel:
         return tuple(name for name in ESTIMATORS if name in ready)
 
     @property
+    def by_stiffness(self) -> tuple[str, ...]:
+        """Names of the estimators that take K·u, whose noise is large."""
+        add_to_it = {name for name, each in self.networks.items() if each.base == "stiffness"}
+        return tuple(name for name in ESTIMATORS if name == "fem" or name in add_to_it)
+
+    @property
     def without_switches(self) -> bool:
         """Whether no switch can be read: contacts are found by the markers' motion alone."""
         return self.locator is not None and len(self.locator.blind) == len(self.height_z_mm)

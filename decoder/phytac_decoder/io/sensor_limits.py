@@ -123,8 +123,8 @@ def limits_of(bundle: "Bundle") -> list[str]:
     if len(weak):
         noise = bundle.noise_centroid_px * bundle.model.stiffness_noise_N_px
         out.append(
-            f"the estimators fem, fem_nn and fem_nn_identity cannot be used at {len(weak)} of "
-            f"{len(bundle.colour)} markers ({id_list(weak)}): noise of their K·u exceeds "
+            f"{', '.join(bundle.model.by_stiffness)} cannot be used at {len(weak)} of "
+            f"{len(bundle.colour)} markers ({id_list(weak)}): noise of K·u exceeds "
             f"{NOISE_SHARE_MAX * bundle.force_max_N:g} N (median "
             f"{np.median(noise[played]):.3g} N); use koi_inverse or auto"
         )

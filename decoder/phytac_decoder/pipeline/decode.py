@@ -106,11 +106,11 @@ class FrameMeasurement:
         if not moved:
             out += self._motion_faults(bundle, forces_N, found)
         useless = self.koi[~bundle.stiffness_usable[self.koi]]
-        if len(useless) and estimator not in {"koi_inverse", "auto"}:
+        noisy = bundle.model.by_stiffness
+        if len(useless) and (estimator is None or estimator in noisy):
             out.append(
-                f"fem, fem_nn and fem_nn_identity cannot be used on {len(useless)} switched "
-                f"receptors ({id_list(useless)}): noise of their K·u exceeds any force there; use "
-                "koi_inverse"
+                f"{', '.join(noisy)} cannot be used on {len(useless)} switched receptors "
+                f"({id_list(useless)}): noise of K·u exceeds any force there; use koi_inverse"
             )
         most = LOCATOR_SETTINGS.unswitched_max
         if bundle.model.without_switches and found and len(found.contacts) >= most:
