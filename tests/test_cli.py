@@ -3,14 +3,19 @@
 import contextlib
 import io
 import json
+import os
+import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.main import get_command
 
-from phytac_design.cli.app import main
+from phytac_design import __version__
+from phytac_design.cli.app import PANELS, app, main
 from phytac_design.stages.build import BuildResult
 
 PHYTAC = [sys.executable, "-c", "from phytac_design.cli.app import main; main()"]
@@ -55,6 +60,59 @@ def test_help_lists_the_commands() -> None:
     assert out.returncode == 0
     for word in ("build", "check", "decode", "new", "schema"):
         assert word in out.stdout
+
+
+def test_every_command_belongs_to_one_panel() -> None:
+    assert list(PANELS) == ["Design", "Make", "Decode", "Simulate", "Explore", "Maintain"]
+    placed = [command for commands in PANELS.values() for command in commands]
+    registered = [info.callback for info in app.registered_commands]
+    assert sorted(map(id, placed)) == sorted(map(id, registered))
+    assert len(set(placed)) == len(placed)
+    for info in app.registered_commands:
+        assert info.callback in PANELS[str(info.rich_help_panel)]
+    out = phytac("--help").stdout
+    places = [out.index(f" {panel} ─") for panel in ("Options", *PANELS)]
+    assert places == sorted(places)
+
+
+@pytest.mark.parametrize("name", ["", *(str(info.name) for info in app.registered_commands)])
+def test_help_has_a_short_form(name: str) -> None:
+    long, short = (phytac(*name.split(), word) for word in ("--help", "-h"))
+    assert short.returncode == long.returncode == 0
+    assert short.stdout == long.stdout
+    assert "Usage: phytac" in short.stdout
+
+
+def test_help_texts_are_no_markup() -> None:
+    """Rich takes words in square brackets for markup and drops them."""
+    group: Any = get_command(app)
+    for name, command in group.commands.items():
+        for text in (command.help, *(item.help or "" for item in command.params)):
+            assert not re.search(r"\[[a-z/]", text), name
+
+
+def test_version() -> None:
+    assert phytac("--version").stdout == f"phytac {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("phytac ch", ["check"]),
+        ("phytac check cylinder4", ["cylinder40"]),
+        ("phytac build grip --acc", ["--accuracy"]),
+    ],
+)
+def test_the_shell_completes(line: str, words: list[str]) -> None:
+    asked = {"_PHYTAC_COMPLETE": "complete_bash", "COMP_WORDS": line}
+    done = subprocess.run(
+        PHYTAC,
+        env={**os.environ, **asked, "COMP_CWORD": str(line.count(" "))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout.split() == words, done.stderr
 
 
 def test_schema_is_json() -> None:

@@ -5,14 +5,18 @@ from typing import Annotated
 
 import typer
 
-from phytac_design.cli.options import JsonOption, Preset, SeedOption, say
+from phytac_design.cli.options import JsonOption, Preset, SeedOption, complete_design, say
 from phytac_design.cli.output import names_of, print_json, resumable
 from phytac_shapes.errors import DesignError
 
 
 def build(
     design: Annotated[
-        str, typer.Argument(help="A shipped design or the path of a file; none with --from-study.")
+        str,
+        typer.Argument(
+            help="A shipped design or the path of a file; none with --from-study.",
+            autocompletion=complete_design,
+        ),
     ] = "",
     out: Annotated[
         Path | None, typer.Option(help="The build's own folder; exports/NAME if not given.")

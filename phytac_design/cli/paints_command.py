@@ -19,7 +19,7 @@ def paints(
     ] = "",
     as_json: JsonOption = False,
 ) -> None:
-    """Propose the table [paints] of a design file from a photo, or say why it cannot be."""
+    """Propose the table `paints` of a design file from a photo, or say why it cannot be."""
     from phytac_decoder.io.recorded_frames import read_image
     from phytac_design.design.design_file import load_design
     from phytac_design.optics.measured_paints import measure_paints

@@ -19,6 +19,7 @@ from tests.docs.pages import ROOT
 PLACEHOLDER = re.compile(r"^[A-Z][A-Z.…]*$")
 """``DESIGN``, ``LOG``, ``DATA…``: placeholders for the reader's own names."""
 GROUP: Any = get_command(app)
+PROGRAM_OPTIONS = {"--help", "-h"} | {option for item in GROUP.params for option in item.opts}
 
 
 def shipped(folder: str) -> list[str]:
@@ -63,6 +64,8 @@ def phytac_fault(words: Sequence[str]) -> str:
     from typer._click.exceptions import ClickException
 
     name, *rest = words
+    if name in PROGRAM_OPTIONS:
+        return ""
     if name not in GROUP.commands:
         return f"no command {name!r}"
     command = GROUP.commands[name]
@@ -90,7 +93,7 @@ def phytac_fault(words: Sequence[str]) -> str:
 def inline_fault(words: Sequence[str]) -> str:
     """What is wrong with a command in running text: its name and its options count."""
     name, *rest = words
-    if name == "--help":
+    if name in PROGRAM_OPTIONS:
         return ""
     if name not in GROUP.commands:
         return f"no command {name!r}"
