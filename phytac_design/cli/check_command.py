@@ -33,6 +33,12 @@ def _print_check(report: dict[str, Any]) -> None:
     )
     for camera in report["cameras"]:
         lens = camera["lens"]
+        across, down = camera["field_of_view_deg"]
+        nearest, farthest = camera["working_distance_mm"]
+        typer.echo(
+            f"field of view {across:.0f}° x {down:.0f}°; markers {nearest:.0f} to {farthest:.0f} "
+            "mm from the camera"
+        )
         typer.echo(
             f"camera {camera['stand_off_mm']:.2f} mm before the {camera['end']} rim; a px is "
             f"{lens['median_mm_per_px_axial']:.3g} mm along the sensor, "

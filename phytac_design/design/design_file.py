@@ -107,6 +107,8 @@ def _table(section: BaseModel, values: dict[str, Any]) -> Table:
     if type(section).__doc__:
         table.comment(" ".join((type(section).__doc__ or "").split()))
     for key, info in type(section).model_fields.items():
+        if info.exclude:
+            continue
         extra = info.json_schema_extra
         assumed = isinstance(extra, dict) and bool(extra.get("assumption"))
         limits = [

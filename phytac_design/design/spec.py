@@ -10,6 +10,7 @@ from phytac_decoder.camera.lens import LENSES, Lens
 from phytac_decoder.vision.brightness import DOTS
 from phytac_design.design.base_table import Section, assumed
 from phytac_design.design.documents_table import BenchSection, KitSection
+from phytac_design.design.field_of_view import focal_of_view_px
 from phytac_design.design.fixture_table import AnyFixture
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.design.layout_table import LayoutSection, ReceptorSection, ReferenceMarksSection
@@ -107,7 +108,13 @@ class CameraSection(Section):
     frame_rate_Hz: float = Field(30.0, gt=0.0, le=1e6)
     """Frames per second."""
     focal_px: float = assumed(970.0, gt=0.0, le=1e6)
-    """Focal length in pixels, along x."""
+    """Focal length in pixels, along x. If neither it nor `field_of_view_deg` is given, it follows
+    the image's width: the field of view stays that of the default."""
+    field_of_view_deg: float = Field(
+        0.0, ge=0.0, le=359.0, exclude=True, json_schema_extra={"input_only": True}
+    )
+    """Horizontal field of view in place of `focal_px`, for a lens of this model and distortion,
+    such as a fisheye: `model = "kannala_brandt"`; 0 if not given."""
     focal_ratio: float = assumed(1.0, gt=0.1, lt=10.0)
     """Focal length along y over that along x; not 1 where pixels are not square."""
     centre_offset_px: tuple[float, float] = assumed((0.0, 0.0))
@@ -127,7 +134,8 @@ class CameraSection(Section):
     f_number: float = assumed(2.8, ge=0.5, le=64.0)
     """Focal length over aperture, for depth of field and blur."""
     pixel_um: float = assumed(1.4, gt=0.0, le=100.0)
-    """Width of a pixel on the sensor chip, for depth of field and blur."""
+    """Width of a pixel on the sensor chip, for depth of field and blur. If neither it nor
+    `focal_px` is given, it follows the image's width: the chip keeps its size."""
     focus_mm: float = assumed(0.0, ge=0.0, le=1e6)
     """Distance of sharp focus from the camera; 0 for where near and far markers blur alike."""
     noise_pixel: float = assumed(2.0, ge=0.0, le=128.0)
@@ -142,7 +150,11 @@ class CameraSection(Section):
         if not isinstance(data, dict):
             return data
         data = dict(data)
+        if data.get("model") == "fisheye":
+            data["model"] = "kannala_brandt"  # OpenCV's fisheye, by its name in the literature
         known = CAMERA_PRESETS.get(str(data.get("preset")), {})
+        if data.get("field_of_view_deg"):
+            known = {key: value for key, value in known.items() if key != "focal_px"}
         for key, value in known.items():
             if data.setdefault(key, value) != value and key != "focal_px":
                 raise ValueError(
@@ -154,7 +166,7 @@ class CameraSection(Section):
 
             folder = (info.context or {}).get("folder", ".")
             lens = "model width_px height_px focal_px focal_ratio centre_offset_px distortion"
-            twice = [key for key in lens.split() if key in data]
+            twice = [key for key in (*lens.split(), "field_of_view_deg") if key in data]
             if twice:
                 raise ValueError(
                     f"calibration sets {', '.join(twice)} as well (got both); leave out one"
@@ -165,6 +177,7 @@ class CameraSection(Section):
     @model_validator(mode="after")
     def _lens_is_possible(self) -> Self:
         try:
+            self._resolve_focal_length()
             self.lens()
         except DesignError as error:
             raise ValueError(str(error).removeprefix("camera: ")) from None
@@ -181,6 +194,24 @@ class CameraSection(Section):
             )
         return self
 
+    def _resolve_focal_length(self) -> None:
+        """Replace a field of view, or an image width alone, by focal length and pixel size."""
+        given = self.model_fields_set
+        if self.field_of_view_deg and "focal_px" in given:
+            raise ValueError(
+                "field_of_view_deg and focal_px both set the focal length (got "
+                f"{self.field_of_view_deg:g}° and {self.focal_px:g} px); leave out one"
+            )
+        if "focal_px" in given:
+            return
+        wider = self.width_px / type(self).model_fields["width_px"].default
+        focal_px = round(self.focal_px * wider, 3)
+        if self.field_of_view_deg:
+            focal_px = focal_of_view_px(self._lens(1.0), self.field_of_view_deg)
+        pixel_um = self.pixel_um if "pixel_um" in given else round(self.pixel_um / wider, 4)
+        # The model is frozen for its users; it is being made here.
+        self.__dict__.update(focal_px=focal_px, pixel_um=pixel_um, field_of_view_deg=0.0)
+
     @property
     def end_numbers(self) -> tuple[int, ...]:
         """Ends with a camera: 0 near, 1 far."""
@@ -194,11 +225,14 @@ class CameraSection(Section):
         DesignError
             If its distortion does not suit its model, or folds the image over.
         """
+        return self._lens(self.focal_px)
+
+    def _lens(self, focal_px: float) -> Lens:
         return LENSES[self.model](
             width_px=self.width_px,
             height_px=self.height_px,
-            fx_px=self.focal_px,
-            fy_px=self.focal_px * self.focal_ratio,
+            fx_px=focal_px,
+            fy_px=focal_px * self.focal_ratio,
             cx_px=(self.width_px - 1) / 2.0 + self.centre_offset_px[0],
             cy_px=(self.height_px - 1) / 2.0 + self.centre_offset_px[1],
             distortion=self.distortion,

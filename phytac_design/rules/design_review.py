@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
+from phytac_design.design.field_of_view import fields_of_view_deg
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout.cameras import stand_off_mm
+from phytac_design.layout.markers import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_of
 from phytac_design.optics.render_scene import BAR, RESIN
@@ -77,6 +79,8 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
             {
                 "end": "far" if end else "near",
                 "stand_off_mm": stand_off_mm(design, surface, camera),
+                "field_of_view_deg": fields_of_view_deg(camera.lens),
+                "working_distance_mm": working_distance_mm(camera, markers),
                 "best_for": int((best == number).sum()),
                 "visibility": own.summary(switches=design.has_switches),
                 "lens": lens_facts(sensor, camera),
@@ -87,6 +91,12 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         ],
         "seconds": time.perf_counter() - start,
     }
+
+
+def working_distance_mm(camera: Camera, markers: Markers) -> tuple[float, float]:
+    """Distances from a camera's centre to its nearest and its farthest marker."""
+    away = np.linalg.norm(markers.tip_mm - camera.position_mm, axis=1)
+    return float(away.min()), float(away.max())
 
 
 def warnings_of(

@@ -91,7 +91,7 @@ def _table(name: str, item: Json, parts: Json) -> Json:
 
 def _fields(table: str, model: Json) -> Iterator[Json]:
     for key, item in model["properties"].items():
-        if (table, key) != ("shape", "kind"):
+        if (table, key) != ("shape", "kind") and not item.get("input_only"):
             yield _field(f"{table}.{key}", table, item, model.get("$defs", {}))
 
 
