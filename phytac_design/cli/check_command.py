@@ -1,31 +1,70 @@
 """``phytac check``: rules, visibility and density of a design."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, SeedOption, say
-from phytac_design.cli.output import print_json
-from phytac_shapes.errors import DesignError
+from phytac_design.cli.output import print_json, resumable
+from phytac_shapes.errors import DesignError, PhytacError
+
+if TYPE_CHECKING:
+    from phytac_design.design.spec import Design
 
 
 def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = False) -> None:
-    """Check rules, visibility and density alone: no solid, no mesh."""
+    """Check rules, visibility and density alone: no solid, no mesh.
+
+    All faults are listed, and a change that repairs them if one is found within seconds.
+    """
     from phytac_design.design.design_file import load_design
     from phytac_design.rules.design_review import checkup
 
-    report = checkup(load_design(design), seed=seed)
+    loaded = load_design(design)
+    try:
+        report = checkup(loaded, seed=seed)
+    except DesignError as error:
+        _print_faults(loaded, error, as_json=as_json)
+        if not as_json:
+            _suggest_repair(design, refused=True, seed=seed)
+        raise typer.Exit(error.exit_code) from None
     if as_json:
         print_json(report)
     else:
         _print_check(report)
     for warning in report["warnings"]:
         say(f"warning: {warning}")
+    if not as_json:
+        typer.echo(_verdict(report))
+        if report["clear"]:
+            typer.echo(f"next: phytac build {design}")
+        else:
+            _suggest_repair(design, refused=False, seed=seed)
     if not report["clear"]:
         raise typer.Exit(DesignError.exit_code)
 
 
+def _print_faults(design: "Design", first: DesignError, *, as_json: bool) -> None:
+    """All rules that a design breaks, of which ``first`` is one, and lengths in other units."""
+    from phytac_design.design.unit_hints import unit_hints
+    from phytac_design.rules.check import broken_rules
+
+    faults = broken_rules(design) or [first]
+    hints = unit_hints(design.model_dump())
+    if as_json:
+        each = [{"code": fault.code, "text": str(fault)} for fault in faults]
+        print_json({"design": design.name, "clear": False, "faults": each, "warnings": hints})
+    for fault in faults:
+        say(f"error[{fault.code}]: {fault}")
+    for hint in hints:
+        say(f"warning: {hint}")
+
+
 def _print_check(report: dict[str, Any]) -> None:
+    from phytac_design.optics.loaded_visibility import FUSED_PX
+    from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
+    from phytac_design.report.figure_names import name_of
+
     density, seen = report["markers"], report["visibility"]
     typer.echo(
         f"{report['design']}: {density['count']} markers on {density['sensing_area_cm2']:.1f} cm² "
@@ -36,22 +75,63 @@ def _print_check(report: dict[str, Any]) -> None:
         across, down = camera["field_of_view_deg"]
         nearest, farthest = camera["working_distance_mm"]
         typer.echo(
-            f"field of view {across:.0f}° x {down:.0f}°; markers {nearest:.0f} to {farthest:.0f} "
-            "mm from the camera"
-        )
-        typer.echo(
-            f"camera {camera['stand_off_mm']:.2f} mm before the {camera['end']} rim; a px is "
-            f"{lens['median_mm_per_px_axial']:.3g} mm along the sensor, "
+            f"camera {camera['stand_off_mm']:.2f} mm before the {camera['end']} rim, field of view "
+            f"{across:.0f}° x {down:.0f}°, markers {nearest:.0f} to {farthest:.0f} mm away; "
+            f"a px is {lens['median_mm_per_px_axial']:.3g} mm along the sensor, "
             f"{lens['median_mm_per_px_circumferential']:.3g} mm around it; sharp from "
             f"{lens['depth_near_mm']:.1f} to {lens['depth_far_mm']:.1f} mm, blur up to "
             f"{lens['max_blur_px']:.2g} px"
         )
+    needs = {
+        "occluded": "must be 0",
+        "fused": "must be 0",
+        "min_visible_fraction": f"needs {FRACTION_MIN:g}",
+        "min_visible_px": f"needs {PIXELS_MIN}",
+        "min_gap_px": f"needs more than {FUSED_PX:g}",
+        "switch_unreadable": "should be 0",
+    }
     for key, value in seen.items():
-        typer.echo(f"  {key:26s} {value:g}")
+        need = f"  ({needs[key]})" if key in needs else ""
+        typer.echo(f"  {name_of(f'visibility.{key}'):48s} {value:.4g}{need}")
+
+
+def _verdict(report: dict[str, Any]) -> str:
     verdict = (
         "every marker is visible and can be distinguished" if report["clear"] else report["advice"]
     )
     blind = report["visibility"].get("switch_unreadable", 0)
     if blind:
         verdict += f"; {blind} switches cannot be read"
-    typer.echo(f"{verdict} ({report['seconds']:.1f} s)")
+    return f"{verdict} ({report['seconds']:.1f} s)"
+
+
+def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
+    """Point to ``phytac advise`` with a change that it can make, if one is found soon."""
+    markers_max = 1000  # more take longer than a reader of the faults waits
+    from phytac_design.design.accuracy import PRESETS
+    from phytac_design.design.design_file import load_design
+    from phytac_design.study.advice.advise import advise
+    from phytac_design.study.advice.quick_repair import quick_repair
+
+    design = load_design(name)
+    if design.layout.wanted > markers_max:
+        typer.echo(f"next: phytac advise {name} looks for changes that repair this (minutes)")
+        return
+    say("looking for a change that repairs this (Ctrl-C to stop)")
+    with resumable():
+        try:
+            if refused:
+                pieces = advise(design, PRESETS["draft"], checks=2, seed=seed).pieces
+                words = pieces[0].words if pieces else ""
+            else:
+                found = quick_repair(design, seed=seed)
+                words = found[0] if found else ""
+        except PhytacError:
+            # Such as markers that cannot even be placed.
+            words = ""
+    if words:
+        typer.echo(f"`phytac advise {name}` can repair this: {words}")
+    elif refused:
+        typer.echo("no change of one field by a few steps repairs this: correct the fields above")
+    else:
+        typer.echo(f"next: phytac advise {name} evaluates more changes (minutes)")

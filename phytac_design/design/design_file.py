@@ -13,7 +13,8 @@ from tomlkit.items import AoT, Table
 from phytac_design.design.paints_table import NOMINAL_PAINTS
 from phytac_design.design.spec import Design
 from phytac_design.design.toml_files import TomlFileKind
-from phytac_shapes.errors import OutputError
+from phytac_design.design.unit_hints import unit_hints
+from phytac_shapes.errors import DesignError, OutputError
 
 DESIGN_FILES = TomlFileKind(
     noun="design",
@@ -47,7 +48,16 @@ def parse_design(data: dict[str, Any], where: str, *, folder: Path = Path()) -> 
     Paths of files that the design names (positions, camera calibration) are relative to
     ``folder``; their contents become part of the design.
     """
-    return DESIGN_FILES.validate(Design, data, where, folder=folder)
+    try:
+        return DESIGN_FILES.validate(Design, data, where, folder=folder)
+    except DesignError as error:
+        raise with_unit_hints(error, data) from None
+
+
+def with_unit_hints(error: DesignError, data: Any) -> DesignError:
+    """The error, with a sentence for each length that looks like another unit than mm."""
+    hints = unit_hints(data)
+    return DesignError(error.code, "; ".join([str(error), *hints])) if hints else error
 
 
 def design_hash(design: Design) -> str:

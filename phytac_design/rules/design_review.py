@@ -9,6 +9,7 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.field_of_view import fields_of_view_deg
 from phytac_design.design.spec import Design
+from phytac_design.design.unit_hints import unit_hints
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout.cameras import stand_off_mm
 from phytac_design.layout.markers import Markers
@@ -73,7 +74,10 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         "fused_markers": np.flatnonzero(seen.fused).tolist(),
         "clear": summary["occluded"] == 0 and summary["fused"] == 0 and not marks,
         "advice": "; ".join(filter(None, (advice, marks))),
-        "warnings": warnings_of(sensor, cameras, each, best),
+        "warnings": [
+            *unit_hints(design.model_dump()),
+            *warnings_of(sensor, cameras, each, best),
+        ],
         "stand_off_mm": stand_off_mm(design, surface, cameras[0]),
         "cameras": [
             {

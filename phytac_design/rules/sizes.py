@@ -9,10 +9,9 @@ from phytac_design.rules.refusal import SLACK_mm, refuse
 from phytac_shapes import Surface
 
 
-def check_sizes(design: Design) -> None:
-    """Check sizes against each other and against the print rules: needs no geometry."""
-    markers_max = 50_000  # maximum number of markers of a design; far more than any camera resolves
-    receptor, switch, rules = design.receptor, design.switch, design.print_rules
+def check_count(design: Design) -> None:
+    """Check that there are no more markers than any camera resolves."""
+    markers_max = 50_000  # far more than any camera resolves
     count = design.layout.wanted
     if count > markers_max:
         refuse(
@@ -20,17 +19,27 @@ def check_sizes(design: Design) -> None:
             f"{design.layout.rows} rows x {design.layout.columns} columns are {count} markers, "
             f"more than {markers_max}; lower layout.rows or layout.columns",
         )
+
+
+def check_wall_size(design: Design) -> None:
+    """Check that the wall can be printed."""
+    thickness, least = design.wall.thickness_mm, design.print_rules.wall_min_mm
+    if thickness < least - SLACK_mm:
+        refuse(
+            "wall-too-thin",
+            f"the wall is too thin to print ({thickness:g} mm < {least:g} mm); raise "
+            f"wall.thickness_mm to {least:g}",
+        )
+
+
+def check_receptor_sizes(design: Design) -> None:
+    """Check that tubes or posts can be printed, and that the switch's tip passes the hole."""
+    receptor, rules = design.receptor, design.print_rules
     outer, hole, tip = (
         receptor.diameter_outer_mm,
         receptor.diameter_hole_mm,
-        switch.tip_diameter_mm,
+        design.switch.tip_diameter_mm,
     )
-    if design.wall.thickness_mm < rules.wall_min_mm - SLACK_mm:
-        refuse(
-            "wall-too-thin",
-            f"the wall is too thin to print ({design.wall.thickness_mm:g} mm < "
-            f"{rules.wall_min_mm:g} mm); raise wall.thickness_mm to {rules.wall_min_mm:g}",
-        )
     if not design.has_switches:
         if outer < rules.wall_min_mm - SLACK_mm:
             refuse(
@@ -68,10 +77,12 @@ def check_sizes(design: Design) -> None:
             f"switch.tip_diameter_mm to {hole - rules.gap_min_mm:g} or raise "
             "receptor.diameter_hole_mm",
         )
-    _check_switch(design)
 
 
-def _check_switch(design: Design) -> None:
+def check_switch_sizes(design: Design) -> None:
+    """Check that a switch turns on and off, and covers its hole."""
+    if not design.has_switches:
+        return
     switch, hole = design.switch, design.receptor.diameter_hole_mm
     if switch.release_N >= switch.threshold_N:
         refuse(

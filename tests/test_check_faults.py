@@ -1,0 +1,152 @@
+"""``phytac check``: every independent fault at once, other units, and a change that repairs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phytac_design.design.design_file import parse_design, to_toml
+from phytac_design.design.unit_hints import unit_hints
+from phytac_design.rules.check import RULES, broken_rules, check_design
+from phytac_design.rules.design_review import checkup
+from phytac_design.study.advice.quick_repair import quick_repair, seen_at_rest
+from phytac_shapes.errors import DesignError
+from tests.designs import small
+from tests.refusals import refused
+from tests.test_cli import phytac
+
+COARSE = {"width_px": 432, "height_px": 324, "focal_px": 161.0}
+
+
+def codes(**tables: Any) -> list[str]:
+    return [fault.code for fault in broken_rules(small(**tables))]
+
+
+def test_independent_faults_are_listed_together() -> None:
+    bad: dict[str, Any] = {
+        "wall": {"thickness_mm": 0.3},
+        "receptor": {"diameter_hole_mm": 0.3},
+        "training": {"patch_radius_max_mm": 40.0},
+        "camera": {"stand_off_mm": 3.0},
+    }
+    first = ["wall-too-thin", "hole-too-small", "patch-exceeds-sensor", "rim-outside-view"]
+    assert codes(**bad) == first
+    with refused("wall-too-thin"):
+        check_design(small(**bad))
+
+
+def test_what_follows_from_a_fault_is_not_listed() -> None:
+    # A wall without a hollow has no place for receptors, cameras or hardware.
+    assert codes(wall={"thickness_mm": 31.0}) == ["wall-too-thick"]
+    # Receptors through the axis hide from every camera.
+    assert codes(layout={"height_far_mm": 40.0}) == ["tips-collide"]
+    assert broken_rules(small()) == []
+
+
+def test_rules_need_rules_before_them() -> None:
+    before: set[str] = set()
+    for name, (_, needs) in RULES.items():
+        assert set(needs.split()) <= before, name
+        before.add(name)
+
+
+@pytest.mark.parametrize(
+    ("table", "field", "value", "words"),
+    [
+        ("shape", "length_mm", 6, "looks like cm: lengths are in mm, and 6 cm are 60 mm"),
+        ("shape", "length_mm", 0.06, "looks like m: lengths are in mm, and 0.06 m are 60 mm"),
+        ("shape", "diameters_mm", [50.0, 4.6], "= 4.6 looks like cm"),
+        ("wall", "thickness_mm", 0.08, "looks like cm: lengths are in mm, and 0.08 cm are 0.8 mm"),
+        ("wall", "thickness_mm", 800, "looks like µm"),
+        ("receptor", "diameter_outer_mm", 0.003, "looks like m"),
+        ("camera", "stand_off_mm", 0.03, "looks like m"),
+    ],
+)
+def test_other_units_are_recognised(table: str, field: str, value: Any, words: str) -> None:
+    (hint,) = unit_hints({table: {field: value}})
+    assert hint.startswith(f"{table}.{field} = ")
+    assert words in hint
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"shape": {"length_mm": 60, "diameter_outer_mm": 12.0}, "camera": {"stand_off_mm": "fit"}},
+        {"receptor": {"diameter_hole_mm": 0}, "wall": {"thickness_mm": True}},
+        {"shape": {"length_mm": "6", "diameters_mm": [[1.0]]}, "wall": 3},
+        {"shape": {"length_mm": 10**400, "diameter_outer_mm": float("nan")}},
+        "name",
+    ],
+)
+def test_usual_lengths_and_no_numbers_have_no_hint(data: Any) -> None:
+    assert unit_hints(data) == []
+
+
+def test_refusals_and_the_check_name_the_unit() -> None:
+    whole = small().model_dump(mode="json")
+    with refused("field-invalid") as caught:
+        parse_design({**whole, "shape": {**whole["shape"], "length_mm": 0.06}}, "file")
+    caught.match("0.06 m are 60 mm")
+    with refused("wall-too-thin") as caught:
+        check_design(small(wall={"thickness_mm": 0.08}))
+    caught.match("0.08 cm are 0.8 mm")
+    thin = {"wall_min_mm": 0.05}
+    report = checkup(small(wall={"thickness_mm": 0.1}, camera=COARSE, print_rules=thin))
+    assert any("0.1 cm are 1 mm" in warning for warning in report["warnings"])
+
+
+def hidden() -> dict[str, Any]:
+    return {"light": {"bar_radius_mm": 10.5}, "camera": COARSE}
+
+
+def test_a_quick_repair_passes_the_check() -> None:
+    design = small(**hidden())
+    assert not seen_at_rest(check_design(design)).clear.all()
+    found = quick_repair(design)
+    assert found is not None
+    words, changed = found
+    assert words.startswith("light.bar_radius_mm 10.5 → 8.5 mm")
+    assert changed.light.bar_radius_mm == 8.5
+    assert checkup(changed)["clear"]
+    # Without time nothing is tried.
+    assert quick_repair(design, seconds=-1.0) is None
+
+
+def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
+    def run(words: tuple[str, ...] = (), **tables: Any) -> Any:
+        path = tmp_path / "mine.toml"
+        path.write_text(to_toml(small(**tables)))
+        return phytac("check", "mine.toml", *words, cwd=tmp_path)
+
+    good = run(camera=COARSE)
+    assert good.returncode == 0
+    verdict, after = good.stdout.splitlines()[-2:]
+    assert verdict.startswith("every marker is visible and can be distinguished")
+    assert after == "next: phytac build mine.toml"
+    assert "field of view 107° x 90°" in good.stdout
+    assert "(needs more than 2)" in good.stdout
+    bad = run(**hidden())
+    assert bad.returncode == DesignError.exit_code
+    last = bad.stdout.splitlines()[-1]
+    assert last.startswith("`phytac advise mine.toml` can repair this: light.bar_radius_mm")
+    broken: dict[str, Any] = {"wall": {"thickness_mm": 0.08}, "camera": {"stand_off_mm": 3.0}}
+    out = run(("--json",), **broken)
+    assert out.returncode == DesignError.exit_code
+    facts = json.loads(out.stdout)
+    assert [one["code"] for one in facts["faults"]] == ["wall-too-thin", "rim-outside-view"]
+    assert facts["clear"] is False
+    assert out.stderr.count("error[") == 2
+    assert "warning: wall.thickness_mm = 0.08 looks like cm" in out.stderr
+
+
+def test_a_rule_that_advice_satisfies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
+    path = tmp_path / "mine.toml"
+    few, hole = {"rows": 5, "columns": 10}, {"diameter_hole_mm": 2.3}
+    path.write_text(to_toml(small(layout=few, receptor=hole)))
+    out = phytac("check", "mine.toml", cwd=tmp_path)
+    assert out.stdout == (
+        "`phytac advise mine.toml` can repair this: receptor.diameter_outer_mm 3 → 3.1 mm\n"
+    )
+    assert "error[tube-wall-too-thin]" in out.stderr
