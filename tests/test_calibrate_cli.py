@@ -80,6 +80,13 @@ def test_fitted_values_and_the_design_file(rig: Path) -> None:
     again = phytac(*words, "--out", "mine.toml", cwd=rig)
     assert again.returncode == 3
     assert "exists already" in again.stderr
+    ends = [fit[end][name] for name in ("modulus", "thickness") for end in ("low", "high")]
+    width = 50.0 * np.log(max(ends[1] / ends[0], ends[3] / ends[2]))
+    plain = phytac(*words, "--out", "other.toml", cwd=rig).stdout.splitlines()
+    assert plain[-2:] == [
+        f"known to ± {width:.2g} % at worst (needs 10 %)",
+        "next: phytac build other.toml",
+    ]
 
 
 def test_data_that_do_not_determine_are_refused_and_a_known_wall_helps(rig: Path) -> None:

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +125,7 @@ def test_schema_is_json() -> None:
 def test_new_then_check(tmp_path: Path) -> None:
     made = phytac("new", "mine", "--from", "cylinder60", cwd=tmp_path)
     assert made.returncode == 0
+    assert made.stdout.splitlines()[-1] == "next: edit it, then phytac check mine.toml"
     text = (tmp_path / "mine.toml").read_text()
     small_camera = (
         text.replace("width_px = 2592", "width_px = 1296")
@@ -165,6 +167,24 @@ def test_errors_are_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_build_ends_with_its_verdict(built: BuildResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("phytac_design.stages.build.build", lambda *_, **__: built)
+    out = phytac("build", "cylinder60", "--out", str(built.out))
+    assert out.returncode == 0, out.stderr
+    verdict, page, after = out.stdout.splitlines()[-3:]
+    report = json.loads((built.out / "report" / "report.json").read_text())
+    gap = report["visibility"]["min_gap_px"]
+    assert "0 hidden, 0 fused (must be 0)" in verdict
+    assert f"smallest gap of one colour {gap:.1f} px (needs more than 2)" in verdict
+    assert page == f"open {built.out / 'report' / 'report.html'}"
+    assert after.startswith(f"next: phytac decode {built.out / 'decoder'} ")
+    # A build of some stages has no report.
+    part = replace(built, ran=("shell",), cached=())
+    monkeypatch.setattr("phytac_design.stages.build.build", lambda *_, **__: part)
+    out = phytac("build", "cylinder60", "--out", str(built.out), "--only", "shell")
+    assert out.stdout.splitlines()[-1].startswith("next: phytac build cylinder60")
+
+
 def test_decode_prints_newtons(built: BuildResult, tmp_path: Path) -> None:
     views, decoder = built.out / "views", str(built.out / "decoder")
     words = ("decode", decoder, str(views / "frame_pressed.png"))
@@ -177,6 +197,11 @@ def test_decode_prints_newtons(built: BuildResult, tmp_path: Path) -> None:
     plain = phytac(*words)
     assert "markers found" in plain.stdout
     assert " N on " in plain.stdout
+    verdict, after = plain.stdout.splitlines()[-2:]
+    assert verdict == "the frame is good: 100% of the markers found (needs 95%)"
+    assert after.startswith("next: give --rest FRAME")
+    with_rest = phytac(*words, "--rest", str(views / "frame_rest.png")).stdout
+    assert with_rest.splitlines()[-1].startswith(f"next: phytac live {decoder} 0")
     wrong = phytac("decode", decoder, str(views / "straight.png")[:-4] + ".jpg")
     assert wrong.returncode == 4
     assert "no image at" in wrong.stderr

@@ -354,6 +354,12 @@ def test_a_design_gives_heights_and_sides(tmp_path: Path) -> None:
     assert len(found["estimators"]["fem"]["around"]) == 8
     plain = runner.invoke(app, [*words[:3], "--out", str(tmp_path / "there")])
     assert "koi_inverse" in plain.stdout
+    every = {name: own["all"]["all"]["relative_error"] for name, own in found["estimators"].items()}
+    best = min(every, key=lambda name: every[name]["value"])
+    verdict, after = plain.stdout.splitlines()[-2:]
+    assert verdict.startswith(f"best estimator: {best}, ")
+    assert f"error {100.0 * every[best]['value']:.2f} % (the published" in verdict
+    assert after.startswith(f"next: phytac live {tmp_path / 'decoder'} 0")
     assert "By side" in (tmp_path / "there" / "tables.md").read_text()
 
 

@@ -490,6 +490,11 @@ def test_the_command(context: Context, data: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "koi_inverse" in done.output
+    verdict, after = done.stdout.splitlines()[-2:]
+    assert verdict.startswith("best estimator: ")
+    assert "(the published sensor has 2.3 %)" in verdict
+    assert "are few, 100 or more" in verdict
+    assert after.startswith(f"next: phytac evaluate {tmp_path / 'out'} DATA")
     done = CliRunner().invoke(app, [*words, "--json"])
     facts = json.loads(done.stdout)
     assert facts["out"] == str(tmp_path / "out")

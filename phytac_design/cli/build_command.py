@@ -1,12 +1,13 @@
 """``phytac build``: everything of a design, or what a scene, a tolerance or a budget asks for."""
 
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from phytac_design.cli.options import JsonOption, Preset, SeedOption, complete_design, say
-from phytac_design.cli.output import names_of, print_json, resumable
+from phytac_design.cli.output import names_of, next_step, print_json, resumable
 from phytac_shapes.errors import DesignError
 
 
@@ -131,8 +132,30 @@ def build(
         f"{result.seconds:.1f} s"
     )
     page = target / "report" / "report.html"
-    if page.is_file():
-        typer.echo(f"open {page}")
+    if "report" not in {*result.ran, *result.cached}:
+        next_step(f"phytac build {design or target / 'design.toml'} makes the other parts as well")
+        return
+    report = json.loads((page.parent / "report.json").read_text(encoding="utf-8"))
+    typer.echo(_verdict(report))
+    typer.echo(f"open {page}")
+    rest = target / "views" / "frame_rest.png"
+    next_step(
+        f"phytac decode {target / 'decoder'} {target / 'views' / 'frame_pressed.png'} --rest {rest}"
+    )
+
+
+def _verdict(report: dict[str, Any]) -> str:
+    """Figures that decide whether a sensor is good, each with what it needs."""
+    from phytac_design.optics.loaded_visibility import FUSED_PX
+
+    seen = report["visibility"]
+    bound = report["resolution"]["bound"]["10 N"]
+    return (
+        f"{report['markers']['count']} markers: {seen['occluded']} hidden, {seen['fused']} fused "
+        f"(must be 0), smallest gap of one colour {seen['min_gap_px']:.1f} px (needs more than "
+        f"{FUSED_PX:g}); {report['under_load']['sentence']} 10 N has at best a standard deviation "
+        f"of {bound['force_N_median']:.2f} N (median over the receptors; less is better)"
+    )
 
 
 def _refuse_both(given: dict[str, bool]) -> None:

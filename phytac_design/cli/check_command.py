@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, SeedOption, say
-from phytac_design.cli.output import print_json, resumable
+from phytac_design.cli.output import next_step, print_json, resumable
 from phytac_shapes.errors import DesignError, PhytacError
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = Fa
     if not as_json:
         typer.echo(_verdict(report))
         if report["clear"]:
-            typer.echo(f"next: phytac build {design}")
+            next_step(f"phytac build {design}")
         else:
             _suggest_repair(design, refused=False, seed=seed)
     if not report["clear"]:
@@ -115,7 +115,7 @@ def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
 
     design = load_design(name)
     if design.layout.wanted > markers_max:
-        typer.echo(f"next: phytac advise {name} looks for changes that repair this (minutes)")
+        next_step(f"phytac advise {name} looks for changes that repair this (minutes)")
         return
     say("looking for a change that repairs this (Ctrl-C to stop)")
     with resumable():
@@ -134,4 +134,4 @@ def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
     elif refused:
         typer.echo("no change of one field by a few steps repairs this: correct the fields above")
     else:
-        typer.echo(f"next: phytac advise {name} evaluates more changes (minutes)")
+        next_step(f"phytac advise {name} evaluates more changes (minutes)")

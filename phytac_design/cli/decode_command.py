@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from phytac_design.cli.options import JsonOption, say
-from phytac_design.cli.output import print_json
+from phytac_design.cli.output import next_step, print_json
 from phytac_design.cli.serve_command import (
     BundleArgument,
     ControlOption,
@@ -131,7 +131,7 @@ def _decode_frame(
     from phytac_decoder.io.bundle import load_bundle
     from phytac_decoder.io.recorded_frames import read_image
     from phytac_decoder.pipeline.colour_calibration import calibrate_rest
-    from phytac_decoder.pipeline.decode import measure_frame
+    from phytac_decoder.pipeline.decode import FOUND_WELL, measure_frame
     from phytac_decoder.pipeline.frame_reading import marker_loads, read
     from phytac_decoder.serving.sensor_loop import check_estimator
 
@@ -206,6 +206,17 @@ def _decode_frame(
         typer.echo(f"  region {name}  {force:.2f} N")
     aside = f" and {len(reading.unswitched)} contacts without one" if reading.unswitched else ""
     typer.echo(f"total {total_N:.2f} N on {len(koi)} switched receptors{aside}")
+    doubts = len(reading.warnings)
+    typer.echo(
+        f"the frame is {'doubtful, see the warnings' if doubts else 'good'}: "
+        f"{measured.found.mean():.0%} of the markers found (needs {FOUND_WELL:.0%})"
+    )
+    next_step(
+        f"phytac live {folder} 0 shows forces of a camera"
+        if rest
+        else "give --rest FRAME, a picture of the unloaded sensor in the same light: forces are "
+        "measured from it"
+    )
 
 
 def shear_of(contact: "LocatedContact") -> dict[str, list[float]]:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, say
-from phytac_design.cli.output import names_of, print_json
+from phytac_design.cli.output import names_of, next_step, print_json
 
 Theory = Literal["auto", "linear", "large"]
 Parameter = StrEnum("Parameter", ["modulus", "thickness", "poisson"])
@@ -150,5 +150,7 @@ def calibrate(
         say(f"wrote {write_calibrated(loaded, fit, out)}")
     if as_json:
         print_json(fit.as_dict())
-    else:
-        typer.echo(fit.text())
+        return
+    typer.echo(fit.text())
+    typer.echo(f"known to ± {100.0 * fit.half_width():.2g} % at worst (needs {100.0 * limit:g} %)")
+    next_step(f"phytac build {out}" if out else "the same with --out FILE writes the design")

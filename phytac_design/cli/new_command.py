@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from phytac_design.cli.output import next_step
+
 
 def new(
     name: Annotated[str, typer.Argument(help="Name of the new design.")],
@@ -28,8 +30,10 @@ def new(
     target = out or Path(f"{name}.toml")
     if from_step is None:
         typer.echo(f"wrote {write_new_design(name, source or 'cylinder60', target)}")
+        next_step(f"edit it, then phytac check {target}")
         return
     changes, said = patch_changes(from_step, face=face, rows=rows, columns=columns)
     typer.echo(
         f"wrote {write_new_design(name, source or 'patch', target, changes=changes)}: {said}"
     )
+    next_step(f"edit it, then phytac check {target}")

@@ -22,6 +22,11 @@ def names_of(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
+def next_step(text: str) -> None:
+    """Last line of a command: what to run or do now."""
+    typer.echo(f"next: {text}")
+
+
 @contextmanager
 def resumable() -> Iterator[None]:
     """Ctrl-C ends the command, with a note that it can be resumed."""

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
-from phytac_design.cli.output import print_json, resumable
+from phytac_design.cli.output import next_step, print_json, resumable
 from phytac_shapes.errors import DesignError
 
 Route = Literal["points", "frames"]
@@ -103,6 +103,7 @@ def simulate(
         typer.echo(f"  {number} sample{'' if number == 1 else 's'}: {reason}")
     if len(reasons) > 5:
         typer.echo(f"  and {len(reasons) - 5} other reasons")
+    next_step(f"phytac train {design} {done.out}")
 
 
 def scenarios(as_json: JsonOption = False) -> None:

@@ -1,5 +1,6 @@
 """Result of a calibration: values, intervals, and what the data determine."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -62,6 +63,14 @@ class Calibration:
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
         return asdict(self)
+
+    def half_width(self) -> float:
+        """Half of the wider interval of modulus and thickness, in logarithms: what is limited."""
+        return 0.5 * max(
+            math.log(getattr(self.high, name) / getattr(self.low, name))
+            for name in self.fitted
+            if name != "poisson"
+        )
 
     def text(self) -> str:
         """For a person to read."""
