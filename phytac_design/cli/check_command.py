@@ -118,7 +118,7 @@ def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
         next_step(f"phytac advise {name} looks for changes that repair this (minutes)")
         return
     say("looking for a change that repairs this (Ctrl-C to stop)")
-    with resumable():
+    with resumable("stopped looking"):
         try:
             if refused:
                 pieces = advise(design, PRESETS["draft"], checks=2, seed=seed).pieces

@@ -1,17 +1,32 @@
-"""``phytac new``: a design file to edit."""
+"""``phytac new``: a design file to edit, from another one, from a STEP file, or by questions."""
 
+import re
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
 
-from phytac_design.cli.output import next_step
+from phytac_design.cli.options import complete_design, say
+from phytac_design.cli.output import next_step, resumable
+from phytac_shapes.errors import OutputError
+
+Choice = TypeVar("Choice")
 
 
 def new(
-    name: Annotated[str, typer.Argument(help="Name of the new design.")],
+    context: typer.Context,
+    name: Annotated[
+        str,
+        typer.Argument(help="Name of the new design; in a terminal, without it, questions follow."),
+    ] = "",
     source: Annotated[
-        str, typer.Option("--from", help="Design to start from; cylinder60 if not given.")
+        str,
+        typer.Option(
+            "--from",
+            help="Design to start from; cylinder60 if not given.",
+            autocompletion=complete_design,
+        ),
     ] = "",
     out: Annotated[Path | None, typer.Option(help="File to write; NAME.toml if not given.")] = None,
     from_step: Annotated[
@@ -22,11 +37,24 @@ def new(
     ] = None,
     rows: Annotated[int, typer.Option(help="Points taken along the face.", min=2, max=200)] = 9,
     columns: Annotated[int, typer.Option(help="Points taken across it.", min=2, max=200)] = 9,
+    full: Annotated[
+        bool,
+        typer.Option(
+            "--full",
+            help="After questions: write every field, commented, in place of what differs from "
+            "the defaults.",
+        ),
+    ] = False,
 ) -> None:
-    """Write a commented design file to edit."""
+    """Write a commented design file to edit; without a name, ask for shape, camera and forces."""
     from phytac_design.design.design_file import write_new_design
     from phytac_design.workflows.design_from_step import patch_changes
 
+    if not name:
+        if not in_terminal() or source or from_step:
+            context.fail("Missing argument 'name'.")
+        _ask_design(out, full=full)
+        return
     target = out or Path(f"{name}.toml")
     if from_step is None:
         typer.echo(f"wrote {write_new_design(name, source or 'cylinder60', target)}")
@@ -37,3 +65,112 @@ def new(
         f"wrote {write_new_design(name, source or 'patch', target, changes=changes)}: {said}"
     )
     next_step(f"edit it, then phytac check {target}")
+
+
+def in_terminal() -> bool:
+    """Whether a person can answer questions."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _ask_design(out: Path | None, *, full: bool) -> None:
+    """Ask for shape, sizes, camera and forces; write a design that passes ``phytac check``."""
+    from phytac_design.design.design_file import to_short_toml, to_toml, write_design_file
+    from phytac_design.study.advice.first_design import first_design, trip_force_N
+
+    with resumable("stopped; nothing was written"):
+        name = _ask_name()
+        target = out or Path(f"{name}.toml")
+        if target.exists():
+            raise OutputError(
+                "output-exists", f"{target} exists already; choose another name or remove it"
+            )
+        kind, sizes_mm = _ask_shape()
+        camera = _ask_camera()
+        least_N = _ask_number("Smallest force of a contact, N", 0.5, 1e-3, 1e4)
+        most_N = _ask_number("Largest force of a contact, N", 25.0, least_N * 1.001, 1e4)
+        design = first_design(
+            name, kind, sizes_mm, camera, force_min_N=least_N, force_max_N=most_N, progress=say
+        )
+    text = to_toml(design) if full else to_short_toml(design, camera=camera)
+    typer.echo(f"wrote {write_design_file(text, target)}")
+    typer.echo(
+        f"{design.layout.wanted} markers, wall {design.wall.thickness_mm:g} mm: every marker is "
+        "visible and can be distinguished"
+    )
+    trip_N = trip_force_N(design)
+    typer.echo(
+        f"a contact trips a switch from about {trip_N:.2g} N (wanted: {least_N:g} N"
+        + (")" if trip_N <= least_N else "; lower switch.threshold_N)")
+    )
+    next_step(f"phytac check {target}, then phytac build {target}")
+
+
+def _ask_name() -> str:
+    """Name that a design may have."""
+    from phytac_design.design.spec import Design
+
+    rule = Design.model_json_schema()["properties"]["name"]
+    while True:
+        name = str(typer.prompt("Name of the sensor", default="mine"))
+        if re.fullmatch(rule["pattern"], name):
+            return name
+        say(f"{name!r} is no name: {rule['description']}")
+
+
+def _ask_shape() -> tuple[str, dict[str, float]]:
+    """Family and sizes."""
+    from dataclasses import fields
+
+    import phytac_shapes
+    from phytac_design.design.design_file import load_design
+    from phytac_design.design.unit_hints import unit_hints
+    from phytac_design.study.advice.first_design import FAMILIES
+
+    kind = _choose("Shape", {kind: kind for kind in FAMILIES})
+    base = load_design(FAMILIES[kind].template).shape.model_dump()
+    sizes_mm = {}
+    known = {item.name: item for item in fields(phytac_shapes.family(kind))}  # type: ignore[arg-type]  # every family is a dataclass
+    for field in (*FAMILIES[kind].across, *FAMILIES[kind].along):
+        item = known[field].metadata
+        text = f"{field}: {item['doc'].rstrip('.')}"
+        while True:
+            size = _ask_number(text, base[field], item["minimum"], item["maximum"])
+            hints = unit_hints({"shape": {field: size}})
+            if not hints or typer.confirm(f"{hints[0]}. Keep {size:g} mm?", default=False):
+                break
+        sizes_mm[field] = size
+    return kind, sizes_mm
+
+
+def _ask_camera() -> dict[str, Any]:
+    """Table ``camera``."""
+    from phytac_design.design.camera_catalogue import CAMERAS
+
+    listed = {camera.words(): camera.table() for camera in CAMERAS}
+    table = _choose("Camera", listed | {"another one": {}})
+    if table:
+        return table
+    table = {
+        "width_px": int(_ask_number("Image width, px", 1280, 16, 20000)),
+        "height_px": int(_ask_number("Image height, px", 720, 16, 20000)),
+        "field_of_view_deg": _ask_number("Field of view across, degrees", 70.0, 5.0, 220.0),
+    }
+    fisheye = typer.confirm("Is it a fisheye lens?", default=table["field_of_view_deg"] > 120.0)
+    return {"model": "kannala_brandt", **table} if fisheye else table
+
+
+def _choose(title: str, items: dict[str, Choice]) -> Choice:
+    """One of several items by its number."""
+    for number, words in enumerate(items, start=1):
+        typer.echo(f"  {number}. {words}")
+    chosen = _ask_number(f"{title}, number", 1, 1, len(items))
+    return list(items.values())[int(chosen) - 1]
+
+
+def _ask_number(text: str, default: float, low: float, high: float) -> float:
+    """A number within limits; asks again until it is one."""
+    while True:
+        value = float(typer.prompt(text, default=default, type=type(default)))
+        if low <= value <= high:
+            return value
+        say(f"{value:g} is not between {low:g} and {high:g}")

@@ -28,10 +28,10 @@ def next_step(text: str) -> None:
 
 
 @contextmanager
-def resumable() -> Iterator[None]:
-    """Ctrl-C ends the command, with a note that it can be resumed."""
+def resumable(note: str = "stopped; run the same command again to resume") -> Iterator[None]:
+    """Ctrl-C ends the command, with a note, such as that it can be resumed."""
     try:
         yield
     except KeyboardInterrupt:
-        say("stopped; run the same command again to resume")
+        say(note)
         raise typer.Exit(130) from None

@@ -8,10 +8,11 @@ from typing import Any
 
 import tomlkit
 from pydantic import BaseModel
+from pydantic_core import to_jsonable_python
 from tomlkit.items import AoT, Table
 
 from phytac_design.design.paints_table import NOMINAL_PAINTS
-from phytac_design.design.spec import Design
+from phytac_design.design.spec import Design, ShapeSection
 from phytac_design.design.toml_files import TomlFileKind
 from phytac_design.design.unit_hints import unit_hints
 from phytac_shapes.errors import DesignError, OutputError
@@ -140,6 +141,48 @@ def _tables(sections: Sequence[BaseModel], values: list[dict[str, Any]]) -> AoT:
     return tables
 
 
+def to_short_toml(design: Design, **tables: dict[str, Any]) -> str:
+    """Only what differs from the defaults; rebuilds the same.
+
+    Parameters
+    ----------
+    **tables : dict
+        Tables to write as they are, such as a camera with its field of view.
+    """
+    document = tomlkit.document()
+    document.add(
+        tomlkit.comment("What differs from the defaults; `phytac schema` lists all fields.")
+    )
+    document.add(tomlkit.comment("Lengths in mm, forces in N, moduli in MPa, angles in degrees."))
+    for name, values in design.model_dump(mode="json").items():
+        section = getattr(design, name)
+        if name in tables:
+            document.add(name, tables[name])
+        elif isinstance(section, BaseModel):
+            changed = _changes(section, values)
+            if changed:
+                document.add(name, changed)
+        elif isinstance(section, tuple) and section:
+            document.add(name, _tables(section, values))
+        elif section:
+            document.add(name, values)
+    return tomlkit.dumps(document)
+
+
+def _changes(section: BaseModel, values: dict[str, Any]) -> dict[str, Any]:
+    """Fields that a table must hold to be this section again: defaults may follow other fields."""
+    fields = type(section).model_fields
+    given = {
+        key: value
+        for key, value in values.items()
+        if fields[key].is_required()
+        or (key == "kind" and isinstance(section, ShapeSection))
+        or value != to_jsonable_python(fields[key].get_default(call_default_factory=True))
+    }
+    again = type(section).model_validate(given).model_dump(mode="json")
+    return given | {key: value for key, value in values.items() if again[key] != value}
+
+
 def write_new_design(
     name: str, source: str, path: Path, *, changes: dict[str, dict[str, Any]] | None = None
 ) -> Path:
@@ -158,12 +201,23 @@ def write_new_design(
         base[table] = {**base[table], **change} if same else change
     own = {"name": name, "description": f"Made from {source}."}
     design = parse_design({**base, **own}, f"new design {name!r}")
+    return write_design_file(to_toml(design), path)
+
+
+def write_design_file(text: str, path: Path) -> Path:
+    """Write a new design file, never over another.
+
+    Raises
+    ------
+    OutputError
+        If the file exists already or cannot be written.
+    """
     if path.exists():
         raise OutputError(
             "output-exists", f"{path} exists already; choose another name or remove it"
         )
     try:
-        path.write_text(to_toml(design), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise OutputError("output-not-writable", f"cannot write {path}: {error.strerror}") from None
     return path

@@ -1,0 +1,179 @@
+"""A first design from a shape, a camera and forces: the densest of a few layouts that is visible.
+
+The layout is that of a shipped design of the family, stretched to the size, and thinned out until
+every rule is kept and the camera sees every marker.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+from phytac_design.design.design_file import load_design, parse_design
+from phytac_design.design.spec import Design
+from phytac_design.rules.check import check_design
+from phytac_design.study.advice.design_evaluation import FIGURES, strain_of
+from phytac_design.study.advice.quick_repair import seen_at_rest
+from phytac_shapes.errors import DesignError, PhytacError
+
+
+@dataclass(frozen=True)
+class Family:
+    """A shape that a first design can have: its template, and fields along and across it."""
+
+    template: str
+    along: tuple[str, ...]
+    across: tuple[str, ...]
+
+
+FAMILIES: dict[str, Family] = {
+    "cylinder": Family("cylinder40", ("length_mm",), ("diameter_outer_mm",)),
+    "cone": Family("cone", ("length_mm",), ("diameter_near_mm", "diameter_far_mm")),
+    "cuboid": Family("cuboid", ("length_mm",), ("width_mm", "depth_mm", "edge_radius_mm")),
+    "hemisphere": Family("hemisphere", (), ("diameter_outer_mm",)),
+    "plane": Family("plane", ("height_mm",), ("width_mm",)),
+}
+"""Shapes with few sizes; a grip or a patch starts from a file."""
+SPACINGS = (1.0, 1.3, 1.7, 2.2)
+"""Distances of markers, as multiples of the template's; those are near what a printer can make."""
+HEIGHTS = (1.0, 0.7, 0.45)
+"""Heights of the far receptors, as shares of the template's in proportion."""
+MARKERS_MIN = 8
+"""Fewer determine no contact's force, place and size."""
+WALLS_mm = (0.8, 1.0, 1.2, 1.6, 2.0, 2.5, 3.0)
+
+
+def first_design(
+    name: str,
+    kind: str,
+    sizes_mm: dict[str, float],
+    camera: dict[str, Any],
+    *,
+    force_min_N: float,
+    force_max_N: float,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Design:
+    """Propose a design that passes ``phytac check``.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``FAMILIES``.
+    sizes_mm : dict
+        Fields of the table ``shape``.
+    camera : dict
+        Table ``camera``.
+    force_min_N, force_max_N : float
+        Expected forces of a contact. The wall is the thinnest whose predicted strain at the
+        largest force stays below the limit of ``phytac advise``.
+
+    Raises
+    ------
+    DesignError
+        If a value is not acceptable, or no layout that is tried passes.
+    """
+    least = "no layout was tried"
+    for data in _candidates(name, kind, sizes_mm, camera, (force_min_N, force_max_N)):
+        design = parse_design(data, f"new design {name!r}")
+        if design.layout.wanted < MARKERS_MIN:
+            least = f"{design.layout.wanted} markers, fewer than {MARKERS_MIN}"
+            continue
+        progress(f"trying {design.layout.wanted} markers")
+        try:
+            design = _strong(design)
+            seen = seen_at_rest(check_design(design))
+        except PhytacError as error:
+            least = str(error)
+            continue
+        if bool(seen.clear.all()):
+            return design
+        least = f"{int((~seen.clear).sum())} of {len(seen.clear)} markers are hidden or fused"
+    raise DesignError(
+        "first-design-not-found",
+        f"no layout that was tried shows every marker of this {kind} to this camera (the last one: "
+        f"{least}); choose a wider or finer camera, or a larger or shorter body, or start from a "
+        f"shipped design: phytac new {name} --from {FAMILIES[kind].template}",
+    )
+
+
+def trip_force_N(design: Design) -> float:
+    """Smallest force of the smallest contact patch that turns on a switch under its middle."""
+    return design.switch.threshold_N / _footprint_share(design.model_dump())
+
+
+def _footprint_share(data: dict[str, Any]) -> float:
+    """Share of the smallest contact patch that lies on a switch's footprint."""
+    patch_mm = 2.0 * data["training"]["patch_radius_min_mm"]
+    return float(min(1.0, data["switch"]["footprint_diameter_mm"] / patch_mm) ** 2)
+
+
+def _candidates(
+    name: str,
+    kind: str,
+    sizes_mm: dict[str, float],
+    camera: dict[str, Any],
+    forces_N: tuple[float, float],
+) -> Iterator[dict[str, Any]]:
+    """Tables of designs, the densest first."""
+    family = FAMILIES[kind]
+    base = load_design(family.template).model_dump(mode="json")
+    along = _ratio(sizes_mm, base["shape"], family.along)
+    across = _ratio(sizes_mm, base["shape"], family.across)
+    base |= {"name": name, "description": f"A {kind}, laid out by `phytac new`."}
+    base["shape"] = {"kind": kind, **sizes_mm}
+    base["camera"] = camera
+    training = base["training"]
+    radius_mm = min(training["patch_radius_max_mm"], 0.25 * min(sizes_mm.values()))
+    base["training"] = {
+        **training,
+        "force_min_N": forces_N[0],
+        "force_max_N": forces_N[1],
+        "patch_radius_max_mm": round(radius_mm, 2),
+        "patch_radius_min_mm": round(min(training["patch_radius_min_mm"], radius_mm), 2),
+    }
+    # The largest force must trip switches: at most half of what it puts on a footprint.
+    share = _footprint_share(base)
+    threshold_N = min(base["switch"]["threshold_N"], 0.5 * share * forces_N[1])
+    release = base["switch"]["release_N"] / base["switch"]["threshold_N"]
+    base["switch"] = {
+        **base["switch"],
+        "threshold_N": float(f"{threshold_N:.2g}"),
+        "release_N": float(f"{release * threshold_N:.2g}"),
+    }
+    layout, light = base["layout"], base["light"]
+    bar_mm = light["bar_radius_mm"]
+    tall = HEIGHTS if layout["heights"] != "constant" else HEIGHTS[:1]
+    for spacing, height, bar in product(SPACINGS, tall, (1.0, 0.0) if bar_mm else (1.0,)):
+        own: dict[str, Any]
+        if layout["kind"] == "phyllotaxis":
+            own = {"count": max(round(layout["count"] * (across / spacing) ** 2), 1)}
+        else:
+            # Colours alternate around: their number divides that of the columns.
+            step = 1 if layout["kind"] == "straight" else len(layout["colours"])
+            columns = step * max(round(layout["columns"] * across / spacing / step), 1)
+            own = {"rows": max(round(layout["rows"] * along / spacing), 1), "columns": columns}
+        if layout["heights"] != "constant":
+            far_mm = layout["height_far_mm"] * height * across
+            own["height_far_mm"] = round(max(far_mm, layout["height_near_mm"]), 1)
+        bars = {**light, "bar_radius_mm": round(bar * bar_mm * min(across, 1.5), 1)}
+        yield {**base, "layout": {**layout, **own}, "light": bars}
+
+
+def _ratio(sizes_mm: dict[str, float], base: dict[str, Any], fields: tuple[str, ...]) -> float:
+    """Size of a body over that of the template, along or across."""
+    own = [field for field in fields if field in sizes_mm]
+    if not own:
+        return 1.0
+    return float(sum(sizes_mm[field] for field in own) / sum(base[field] for field in own))
+
+
+def _strong(design: Design) -> Design:
+    """The design with the thinnest wall that bears its largest force; the thickest if none does."""
+    limit = FIGURES["strain"].limit or float("inf")
+    data = design.model_dump(mode="json")
+    for thickness in WALLS_mm:
+        data["wall"] = {**data["wall"], "thickness_mm": thickness}
+        design = parse_design(data, design.name)
+        if strain_of(check_design(design)) <= limit:
+            break
+    return design
