@@ -40,8 +40,8 @@ class CatalogueCamera:
 
 CAMERAS = (
     CatalogueCamera(
-        label="Wide 5 MP module as in the published sensor (OV5647)",
-        width_px=2592, height_px=1944, frame_rate_Hz=15.0,
+        label="5 MP camera of the published sensor (field of view assumed)",
+        width_px=2592, height_px=1944, frame_rate_Hz=30.0,
         field_of_view_deg=106.4, pixel_um=1.4, f_number=2.8,
     ),
     CatalogueCamera(
@@ -75,4 +75,5 @@ CAMERAS = (
         field_of_view_deg=160.0, pixel_um=3.0, f_number=2.0, model="kannala_brandt",
     ),
 )  # fmt: skip
-"""Cameras in the order of the list. The last three stand for many similar products."""
+"""Cameras in the order of the list. Those of Raspberry Pi have the numbers of its documentation;
+the last three stand for many similar products."""
