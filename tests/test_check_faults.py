@@ -12,7 +12,7 @@ from phytac_design.rules.check import RULES, broken_rules, check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.study.advice.quick_repair import quick_repair, seen_at_rest
 from phytac_shapes.errors import DesignError
-from tests.designs import small
+from tests.designs import changed, small
 from tests.refusals import refused
 from tests.test_cli import phytac
 
@@ -41,6 +41,10 @@ def test_what_follows_from_a_fault_is_not_listed() -> None:
     assert codes(wall={"thickness_mm": 31.0}) == ["wall-too-thick"]
     # Receptors through the axis hide from every camera.
     assert codes(layout={"height_far_mm": 40.0}) == ["tips-collide"]
+    # Facets follow the thickness: a wall in metres would fill the memory.
+    thin = {"wall": {"thickness_mm": 0.0008}, "light": {"bar_radius_mm": 2.0}}
+    faults = broken_rules(changed("hemisphere", **thin))
+    assert [fault.code for fault in faults] == ["wall-too-thin"]
     assert broken_rules(small()) == []
 
 
