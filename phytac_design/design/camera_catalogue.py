@@ -60,17 +60,17 @@ CAMERAS = (
         field_of_view_deg=102.0, pixel_um=2.8, f_number=2.2,
     ),
     CatalogueCamera(
-        label="Full HD web camera (78° diagonal)",
+        label="Full HD web camera (78° diagonal, typical values)",
         width_px=1920, height_px=1080, frame_rate_Hz=30.0,
         field_of_view_deg=70.4, pixel_um=2.0, f_number=2.2,
     ),
     CatalogueCamera(
-        label="USB endoscope camera",
+        label="USB endoscope camera (typical values)",
         width_px=1280, height_px=720, frame_rate_Hz=30.0,
         field_of_view_deg=70.0, pixel_um=1.4, f_number=2.8,
     ),
     CatalogueCamera(
-        label="USB camera module with a fisheye lens",
+        label="USB camera module with a fisheye lens (typical values)",
         width_px=1920, height_px=1080, frame_rate_Hz=30.0,
         field_of_view_deg=160.0, pixel_um=3.0, f_number=2.0, model="kannala_brandt",
     ),
