@@ -169,6 +169,8 @@ def test_beyond_its_training_a_network_adds_nothing() -> None:
     model = replace(force_model(), networks={"fem_nn": net})
     koi, far = np.array([4]), np.full((N, 2), 9.0)
     assert (model.forces("fem_nn", far, koi) == model.forces("fem", far, koi)).all()
+    assert model.beyond_range("fem_nn", far, koi).tolist() == [4]
+    assert model.beyond_range("fem", far, koi).tolist() == []
 
 
 def test_forces_on_key_nodes_as_base_leave_the_tip_out() -> None:

@@ -232,3 +232,24 @@ def test_frames_warn_of_estimators_that_cannot_be_used() -> None:
         assert any("cannot be used" in text for text in texts) == (base == "stiffness")
         (limit,) = [text for text in learnt.limits() if "cannot be used" in text]
         assert limit.startswith("fem, fem_nn cannot" if base == "stiffness" else "fem cannot")
+
+
+def test_frames_warn_of_motion_that_a_network_has_not_learnt() -> None:
+    bundle = sound()
+    measured = pressed(bundle, {3: 9.0}, [3])
+    forces = measured.forces_N(bundle, "koi_inverse")
+    for reach, warned in ((1e3, False), (1e-6, True)):
+        net = CascadeNetwork(
+            parameters=np.zeros(parameter_count()),
+            activation="rectified",
+            scale_in=np.ones(10),
+            scale_out=1.0,
+            base="key_nodes",
+            low=np.full(10, -reach),
+            high=np.full(10, reach),
+        )
+        learnt = replace(bundle, model=replace(bundle.model, networks={"fem_nn": net}))
+        for estimator in ("fem_nn", "auto"):
+            texts = measured.warnings(learnt, forces, estimator=estimator)
+            beyond = any("has learnt no such motion" in text for text in texts)
+            assert beyond == (warned and estimator == "fem_nn")

@@ -216,6 +216,15 @@ class ForceModel:
         out[koi] = base + network(features) * u[koi]
         return out
 
+    def beyond_range(self, estimator: str, shift_px: FloatArray, koi: IntArray) -> IntArray:
+        """Key nodes (b,) at which a network counts by less than half: it learnt no such motion."""
+        network = self.networks.get(estimator)
+        if network is None or not len(koi):
+            return koi[:0]
+        u = self.pressed_mm(shift_px, koi)
+        features = network_features(u, self.neighbours, self.height_z_mm, koi)
+        return np.asarray(koi[network.learnt(features) < 0.5])
+
     def base_forces(
         self, base: Base, shift_px: FloatArray, u_mm: FloatArray, koi: IntArray
     ) -> FloatArray:

@@ -112,6 +112,13 @@ class FrameMeasurement:
                 f"{', '.join(noisy)} cannot be used on {len(useless)} switched receptors "
                 f"({id_list(useless)}): noise of K·u exceeds any force there; use koi_inverse"
             )
+        beyond = bundle.model.beyond_range(estimator or "", self.shift_px, self.koi)
+        if len(beyond):
+            out.append(
+                f"{estimator} has learnt no such motion as that of {len(beyond)} switched "
+                f"receptors ({id_list(beyond)}): forces there are those of the finite-element "
+                "model; train with such contacts, or use auto"
+            )
         most = LOCATOR_SETTINGS.unswitched_max
         if bundle.model.without_switches and found and len(found.contacts) >= most:
             out.append(
