@@ -37,9 +37,11 @@ from phytac_decoder.io.bundle_check import (
     bounded,
     check_bundle,
     describe_fault,
+    finite_float,
     number,
     numbers,
     reject_constant,
+    short_int,
 )
 from phytac_decoder.io.bundle_locator import locator_arrays, locator_from, locator_table
 from phytac_decoder.io.sensor_limits import (
@@ -393,7 +395,12 @@ def load_bundle(
 def _read_meta(folder: Path) -> dict[str, Any]:
     path = folder / "bundle.json"
     try:
-        meta = json.loads(read_text(path, bytes_max=1 << 26), parse_constant=reject_constant)
+        meta = json.loads(
+            read_text(path, bytes_max=1 << 26),
+            parse_constant=reject_constant,
+            parse_float=finite_float,
+            parse_int=short_int,
+        )
     except OSError as error:
         raise InputError(
             "bundle-not-found",
@@ -402,7 +409,7 @@ def _read_meta(folder: Path) -> dict[str, Any]:
         ) from error
     except (ValueError, RecursionError) as error:
         raise InputError(
-            "bundle-unreadable", f"{path} is not JSON ({cause_of(error)}); rebuild the decoder"
+            "bundle-unreadable", f"{path} cannot be read ({cause_of(error)}); rebuild the decoder"
         ) from error
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise InputError(
@@ -428,7 +435,7 @@ def _read_meta(folder: Path) -> dict[str, Any]:
 
 def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bundle:
     """Check the arrays and make the bundle."""
-    count = int(meta["markers"])
+    count = int(bounded(meta["markers"], "markers"))
     if "rest_px" not in arrays:
         raise InputError(
             "bundle-array-missing",

@@ -9,6 +9,10 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import LENSES, Lens
 from phytac_shapes.errors import DesignError, InputError
 
+SIDE_MAX_px, REACH_MAX = 100_000, 1e9
+"""Largest side of a camera's image, and magnitude of its other numbers (px, mm): designs allow a
+fifth and a hundredth of these; 1e308 overflows in the decoder."""
+
 
 def camera_table(camera: Camera) -> dict[str, Any]:
     """Camera as in ``bundle.json``: its lens and its pose."""
@@ -51,6 +55,16 @@ def camera_from(table: dict[str, Any], folder: Path) -> Camera:
             "bundle-camera-pose",
             f"{folder}/bundle.json: the camera's pose must be 3 + 9 finite numbers; rebuild the "
             "decoder",
+        )
+    sides = table["width_px"], table["height_px"]
+    rest = (*focal, *table["centre_px"], *table.get("distortion", ()), *table["position_mm"])
+    side, reach = max(map(float, sides)), max(abs(float(value)) for value in rest)
+    if side > SIDE_MAX_px or reach > REACH_MAX:
+        raise InputError(
+            "bundle-camera-range",
+            f"{folder}/bundle.json: a camera's sides must be at most {SIDE_MAX_px} px and its other "
+            f"numbers at most {REACH_MAX:g} (got {side:g} px and {reach:g}); "
+            "rebuild the decoder",
         )
     try:
         lens = LENSES[table["model"]](

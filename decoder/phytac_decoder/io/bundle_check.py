@@ -1,5 +1,6 @@
 """Checks of a bundle's arrays and numbers before anything is made of them."""
 
+import math
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -204,6 +205,21 @@ def bounded(value: Any, name: str) -> float:
 def reject_constant(name: str) -> float:
     """Reject NaN and infinity, which JSON does not have."""
     raise ValueError(f"{name} is no number of JSON")
+
+
+def finite_float(text: str) -> float:
+    """Return a number of a JSON text; raise ``ValueError`` if it is infinite, as 1e400 is."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:40]} is beyond the largest number, 1.8e308")
+    return value
+
+
+def short_int(text: str) -> int:
+    """Return an integer of a JSON text; raise ``ValueError`` if it is longer than one of 64 bits."""
+    if len(text) > 20:
+        raise ValueError(f"{text[:20]}… has {len(text)} digits, more than an integer's 20")
+    return int(text)
 
 
 def numbers(values: Any, count: int, *, positive: bool = False) -> FloatArray:
