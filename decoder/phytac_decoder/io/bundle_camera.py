@@ -62,9 +62,9 @@ def camera_from(table: dict[str, Any], folder: Path) -> Camera:
     if side > SIDE_MAX_px or reach > REACH_MAX:
         raise InputError(
             "bundle-camera-range",
-            f"{folder}/bundle.json: a camera's sides must be at most {SIDE_MAX_px} px and its other "
-            f"numbers at most {REACH_MAX:g} (got {side:g} px and {reach:g}); "
-            "rebuild the decoder",
+            f"{folder}/bundle.json: a camera's sides must be at most {SIDE_MAX_px} px and its "
+            f"other numbers at most {REACH_MAX:g} (got {side:g} px and {reach:g}); rebuild the "
+            "decoder",
         )
     try:
         lens = LENSES[table["model"]](

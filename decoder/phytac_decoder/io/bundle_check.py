@@ -216,7 +216,7 @@ def finite_float(text: str) -> float:
 
 
 def short_int(text: str) -> int:
-    """Return an integer of a JSON text; raise ``ValueError`` if it is longer than one of 64 bits."""
+    """Return an integer of a JSON text; raise ``ValueError`` if it exceeds 20 digits."""
     if len(text) > 20:
         raise ValueError(f"{text[:20]}… has {len(text)} digits, more than an integer's 20")
     return int(text)

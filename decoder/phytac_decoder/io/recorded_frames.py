@@ -11,10 +11,14 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from phytac_decoder.io.picture_size import check_pixels, picture_size
 from phytac_shapes.arrays import ImageArray
+from phytac_shapes.bounded_reader import read_bytes
 from phytac_shapes.errors import InputError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+FILE_BYTES_MAX = 1 << 30
+"""Largest file of an image: the largest picture without compression has some 0.5 GB."""
 
 
 class RecordedImage(NamedTuple):
@@ -132,6 +136,8 @@ class VideoFile(ImageSequence):
                 f"{self.description} is not a video or image that can be read; give an image (PNG, "
                 "JPEG), a folder of images, a video, or a camera's number",
             )
+        sides = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        check_pixels(*map(video.get, sides), self.description)
         return video
 
     def images(self) -> Iterator[RecordedImage]:
@@ -293,10 +299,10 @@ def read_image(path: Path) -> ImageArray:
     Raises
     ------
     InputError
-        If it is missing, cut off or not an image.
+        If it is missing, cut off, too large or not an image.
     """
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, bytes_max=FILE_BYTES_MAX)
     except OSError as error:
         raise InputError("file-unreadable", f"no image at {path} ({error.strerror})") from None
     # What a whole PNG or JPEG begins and ends with: OpenCV gives half an image for half a file.
@@ -304,10 +310,15 @@ def read_image(path: Path) -> ImageArray:
     body = data.rstrip(b"\0")  # some cameras pad their files
     if not data or any(data.startswith(head) and not body.endswith(tail) for head, tail in ends):
         raise InputError("image-truncated", f"{path} is cut off; it holds {len(data)} bytes")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
-    except cv2.error as error:
-        raise InputError("frame-not-decoded", f"{path} cannot be decoded ({error.err})") from None
+    image = None
+    if size := picture_size(data):
+        check_pixels(*size, path)
+        try:
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        except cv2.error as error:
+            raise InputError(
+                "frame-not-decoded", f"{path} cannot be decoded ({error.err})"
+            ) from None
     if image is None:
         raise InputError(
             "file-not-image", f"{path} is not an image that can be read (PNG, JPEG, BMP, TIFF)"

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from phytac_decoder.io.picture_size import check_pixels
 from phytac_decoder.io.recorded_frames import SUFFIXES, read_image, times_in_names
 from phytac_design.simulation.rig_import.rig_log import RigLog
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
@@ -128,6 +129,8 @@ class FrameVideo(FrameSource):
                 "file-not-video",
                 f"{self.where} is not a video that can be read; give a video or a folder of images",
             )
+        sides = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        check_pixels(*map(self._video.get, sides), self.where)
 
     def read(self, number: int) -> ImageArray:
         """Picture of a number, BGR."""
