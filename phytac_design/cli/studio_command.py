@@ -1,6 +1,7 @@
 """The command that shows a design with controls in a browser."""
 
-import webbrowser
+import signal
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -25,17 +26,21 @@ def studio(
     Designs are read from and saved in the current folder; builds are written to its subfolder
     `exports`, and its studies are listed.
     """
+    from phytac_design.studio.redirect_file import opened_in_browser
     from phytac_design.studio.server import StudioServer
 
     server = StudioServer(Path.cwd(), design, port=port)
-
-    def ready(url: str) -> None:
-        say(f"the studio of {Path.cwd()}: {url} (for this machine only; Ctrl-C stops)")
-        if browser and not webbrowser.open(url):
-            say("no browser was found; open that address in one")
-
+    # The server raises a signal again after its end: nothing would be cleaned up by default.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        server.run(ready=ready)
+        with ExitStack() as stack:
+
+            def ready(url: str) -> None:
+                say(f"the studio of {Path.cwd()}: {url} (for this machine only; Ctrl-C stops)")
+                if browser and not stack.enter_context(opened_in_browser(url, Path.cwd())):
+                    say("no browser was found; open that address in one")
+
+            server.run(ready=ready)
     except KeyboardInterrupt:
         say("stopped")
         raise typer.Exit(130) from None

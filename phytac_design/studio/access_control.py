@@ -92,7 +92,9 @@ class Guard:
                 raise HTTPException(411, "a request must state its length")
             if int(length) > BODY_MAX:
                 raise HTTPException(413, f"a request may hold {BODY_MAX} bytes (got {length})")
-        if headers.get("sec-fetch-site") == "cross-site":
+        # The file that opens the studio in a browser is another site, too.
+        opens = method == "GET" and headers.get("sec-fetch-dest") == "document"
+        if headers.get("sec-fetch-site") == "cross-site" and not opens:
             raise HTTPException(403, "another site's page may not send requests to the studio")
         first, _, rest = path.removeprefix("/").partition("/")
         if not hmac.compare_digest(first.encode(), self.token.encode()):

@@ -58,6 +58,13 @@ def test_another_sites_page_may_not_post(client: Client, heads: dict[str, str]) 
     assert client.ask("POST", "api/open", {"name": "cylinder60"})[0] == 200
 
 
+@pytest.mark.parametrize("dest", ["", "empty", "script", "image", "iframe", "object"])
+def test_another_sites_page_may_embed_nothing_but_lead_here(client: Client, dest: str) -> None:
+    heads = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": dest}
+    assert client.ask("GET", "", heads=heads)[0] == 403
+    assert client.ask("GET", "", heads=heads | {"Sec-Fetch-Dest": "document"})[0] == 200
+
+
 def test_a_form_cannot_post(client: Client) -> None:
     for kind in ("text/plain", "application/x-www-form-urlencoded", ""):
         heads = {"content-type": kind}
