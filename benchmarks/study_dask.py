@@ -23,9 +23,10 @@ from benchmarks.harness import Table
 from benchmarks.study_cases import drawn, one_thread, study_of
 from phytac_design.core.parquet_recording import parquet_library
 from phytac_design.core.threads import THREADS
-from phytac_design.study.search.dask_pool import WORKER_ENVIRONMENT, DaskPool
+from phytac_design.study.search.dask_pool import DaskPool
 from phytac_design.study.search.design_space import DesignSpace
 from phytac_design.study.search.driver import StudyRun, run_study
+from phytac_design.study.search.process_pool import ProcessPool
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.successive_halving import (
     Outcome,
@@ -37,10 +38,17 @@ from phytac_design.study.search.successive_halving import (
 
 RUNGS = ("rules", "sampled")
 ALONE = dict.fromkeys((THREADS, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+QUIET = {
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+}
+"""Dask's own monitoring takes some 3 % of each process's time by default."""
 KILL_EVERY_S = 10.0
 CLUSTER = "two-process cluster on loopback"
 CASES = {"1 local worker": 1, "2 local workers": 2, CLUSTER: 2}
 """Workers of each case."""
+
+Pool = DaskPool | ProcessPool
 
 
 def study_for(count: int) -> tuple[Study, DesignSpace]:
@@ -96,7 +104,7 @@ class Nothing(Task):
         return asdict(Outcome())
 
 
-def overhead_ms(pool: DaskPool, count: int) -> float:
+def overhead_ms(pool: Pool, count: int) -> float:
     """What a task costs beside its work, as the driver sees it."""
     tasks = [Nothing(key=f"nothing-{k}", spec="", params={}, levels=RUNGS) for k in range(count)]
     start = time.perf_counter()
@@ -105,7 +113,7 @@ def overhead_ms(pool: DaskPool, count: int) -> float:
     return 1e3 * (time.perf_counter() - start) / count
 
 
-def pooled(pool: DaskPool, count: int, folder: Path) -> StudyRun:
+def pooled(pool: Pool, count: int, folder: Path) -> StudyRun:
     """Run a study on a pool whose workers have loaded all."""
     study, space = study_for(count)
     spec, early = spec_of(study, space), drawn(study, space, 4 * pool.workers, first=1 << 16)
@@ -132,7 +140,7 @@ class Cluster:
         failures = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
         return subprocess.Popen(
             [*command, "--no-dashboard"],
-            env=os.environ | WORKER_ENVIRONMENT | failures,
+            env=os.environ | ALONE | QUIET | failures,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
@@ -149,7 +157,7 @@ class Cluster:
             with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1.0):
                 break
             time.sleep(0.1)
-        pool = DaskPool(address=self.address)
+        pool = DaskPool(self.address)
         pool.client.wait_for_workers(len(self.parts) - 1)
         return pool
 
@@ -170,13 +178,13 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
 
 
 @contextmanager
-def pool_of(case: str) -> Iterator[DaskPool]:
+def pool_of(case: str) -> Iterator[Pool]:
     """A pool of a case, with all its workers there."""
     with ExitStack() as stack:
         if case == CLUSTER:
-            pool = stack.enter_context(closing(Cluster(CASES[case]))).pool()
+            pool: Pool = stack.enter_context(closing(Cluster(CASES[case]))).pool()
         else:
-            pool = DaskPool(workers=CASES[case])
+            pool = ProcessPool(CASES[case])
         yield stack.enter_context(closing(pool))
 
 
@@ -205,7 +213,7 @@ def dask(table: Table, *, quick: bool) -> None:
                 "scheduler on the same cores"
             )
             table.add(row, float(np.median(ratios[case])), "ratio", 1.0, source, ">= 0.9", note)
-        with pool_of("2 local workers") as pool:
+        with pool_of(CLUSTER) as pool:
             # At two workers these outlast all kinds of kills.
             more = 24 if quick else 1536
             expected = rows_of(pooled(pool, more, Path(name) / "undisturbed").folder)
@@ -256,7 +264,7 @@ def _killed(table: Table, cluster: Cluster, folder: Path, expected: list[dict[st
 def drive(folder: Path, count: int, address: str) -> None:
     """A driver that may be killed."""
     study, space = study_for(count)
-    with closing(DaskPool(address=address)) as pool:
+    with closing(DaskPool(address)) as pool:
         run_study(study, space, folder, kind="sweep", pool=pool)
 
 

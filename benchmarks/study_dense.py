@@ -12,9 +12,9 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.cache import code_hash
 from phytac_design.optics.density import density_of
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.study.search.dask_pool import DaskPool
 from phytac_design.study.search.design_space import make_space
 from phytac_design.study.search.driver import run_study
+from phytac_design.study.search.process_pool import ProcessPool
 from phytac_design.study.search.search_report import read_results
 from phytac_design.study.search.study_file import Budget, load_study
 from phytac_design.study.search.study_folder import rebuild
@@ -33,7 +33,7 @@ def dense(table: Table, *, name: str, quick: bool) -> None:
     number = 6 if quick else candidates
     study = study.model_copy(update={"budget": Budget(candidates=number)})
     out = data_folder() / "study" / f"{name}-{code_hash()[:16]}"
-    with closing(DaskPool(workers=WORKERS, say=print)) as pool:
+    with closing(ProcessPool(WORKERS)) as pool:
         space = make_space(study, folder)
         run_study(study, space, out, kind="optimise", pool=pool, progress=print)
     results = read_results(out)

@@ -129,11 +129,13 @@ def _run(
 
 def _pool(workers: int, scheduler: str) -> "AbstractContextManager[Any]":
     """Where candidates are evaluated."""
-    if not workers and not scheduler:
-        return nullcontext()
-    from phytac_design.study.search.dask_pool import DaskPool
+    if scheduler:
+        from phytac_design.study.search.dask_pool import DaskPool
 
-    return closing(DaskPool(workers=workers, address=scheduler, say=say))
+        return closing(DaskPool(scheduler, say=say))
+    from phytac_design.study.search.process_pool import ProcessPool
+
+    return closing(ProcessPool(workers)) if workers else nullcontext()
 
 
 def _list_measures(*, as_json: bool) -> None:

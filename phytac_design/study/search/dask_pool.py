@@ -1,4 +1,4 @@
-"""Candidates evaluated by Dask: processes on this machine, or the workers of a cluster.
+"""Candidates evaluated by the workers of a Dask cluster.
 
 Only the driver writes files, so that a task may run twice: Dask runs the tasks of a dead worker
 again. Cheap candidates are submitted in chunks, so that their work outweighs Dask's own.
@@ -9,39 +9,27 @@ from concurrent.futures import CancelledError
 from contextlib import suppress
 from typing import Any
 
-from phytac_design.core.threads import THREADS
 from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.successive_halving import (
-    FAILED,
     Outcome,
     SerialPool,
     Task,
+    chunked,
+    failed,
     keep_memory,
 )
 from phytac_shapes.errors import InputError, MissingPartError
 
-WORKER_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    THREADS: "1",
-    # Dask's own monitoring takes some 3 % of each process's time by default.
-    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
-    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
-}
 
-
-def _libraries() -> tuple[Any, Any]:
+def _library() -> Any:
     try:
-        import dask
         import distributed
     except ImportError:
         raise MissingPartError(
             "missing-library",
-            "--workers and --scheduler need dask; install it with: pip install "
-            "'phytac-design[study]'",
+            "--scheduler needs dask; install it with: pip install 'phytac-design[study]'",
         ) from None
-    return dask, distributed
+    return distributed
 
 
 def run_chunk(tasks: list[Task]) -> list[dict[str, Any]]:
@@ -51,75 +39,51 @@ def run_chunk(tasks: list[Task]) -> list[dict[str, Any]]:
 
 
 class DaskPool(SerialPool):
-    """A client of a scheduler: its own (``workers``) or a running one (``address``).
+    """A client of a running scheduler.
 
     Parameters
     ----------
-    workers : int
-        Processes to start on this machine, one thread each; 0 with an address.
     address : str
-        Of a running scheduler, as ``tcp://host:8786``.
+        As ``tcp://host:8786``, or ``tls://…`` with the certificates of Dask's configuration.
     say : callable
         Receives messages about waiting.
 
     Raises
     ------
     InputError
-        If workers cannot be started, or the scheduler cannot be reached, has no worker, or one
-        with another version of the program.
+        If the scheduler cannot be reached, has no worker, or one with another version of the
+        program.
     """
 
     connect_s, workers_s = 10.0, 120.0
     """How long to wait for the scheduler, and for its first worker."""
 
-    def __init__(
-        self, *, workers: int = 0, address: str = "", say: Callable[[str], None] = lambda _: None
-    ) -> None:
-        dask, self.library = _libraries()
-        self.cluster: Any = None
+    def __init__(self, address: str, *, say: Callable[[str], None] = lambda _: None) -> None:
+        self.library = _library()
         self.address = address
+        self.client = self._connect()
         try:
-            with dask.config.set({"distributed.admin.tick.interval": "500ms"}):
-                if not address:
-                    self.cluster = self._start(workers)
-                    self.address = self.cluster.scheduler_address
-                self.client = self._connect()
             if not self.client.scheduler_info(n_workers=-1)["workers"]:
                 say(f"waiting for workers of {self.address} …")
             self._check_workers()
         except BaseException:
-            if self.cluster is not None:
-                self.cluster.close()
+            self.close()
             raise
-
-    def _start(self, workers: int) -> Any:
-        """A scheduler and workers on this machine."""
-        try:
-            return self.library.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=None,
-                silence_logs="ERROR",
-                env=WORKER_ENVIRONMENT,
-                # Any free port: another study may use the default one.
-                scheduler_kwargs={"allowed_failures": 10, "dashboard_address": "127.0.0.1:0"},
-            )
-        except (RuntimeError, OSError, TimeoutError) as error:
-            raise InputError(
-                "workers-not-started",
-                f"{workers} workers could not be started ({error}); use fewer, or none",
-            ) from None
 
     def _connect(self) -> Any:
         try:
             return self.library.Client(self.address, timeout=self.connect_s, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
+        except (
+            OSError,
+            TimeoutError,
+            ValueError,
+            TypeError,
+        ) as error:  # the last without TLS files
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(
                 "scheduler-unreachable",
-                f"no scheduler at {self.address} ({reason}); start one with `dask scheduler`, or "
-                "use --workers. Completed candidates are kept",
+                f"no scheduler at {self.address} ({reason}); start one with `dask scheduler`, use "
+                "--workers, or for tls:// set Dask's certificates. Completed candidates are kept",
             ) from None
 
     def _check_workers(self) -> None:
@@ -155,10 +119,6 @@ class DaskPool(SerialPool):
         InputError
             If the scheduler is lost.
         """
-        wanted = list(tasks)
-        # A cheap candidate takes some ten times what Dask needs for a task.
-        cheap = all(set(task.levels) <= {"rules", "sampled"} for task in wanted)
-        size = max(1, len(wanted) // (8 * self.workers)) if cheap else 1
         chunks: dict[str, list[Task]] = {}
         futures = self.library.as_completed(loop=self.client.loop)
 
@@ -168,8 +128,8 @@ class DaskPool(SerialPool):
             futures.add(self.client.submit(run_chunk, chunk, key=key, pure=False))
 
         try:
-            for first in range(0, len(wanted), size):
-                submit(wanted[first : first + size])
+            for chunk in chunked(tasks, self.workers):
+                submit(chunk)
             while chunks:
                 future = next(futures)
                 chunk = chunks.pop(future.key)
@@ -181,8 +141,7 @@ class DaskPool(SerialPool):
                     for task in chunk:  # one of them may have killed its worker: each runs alone
                         submit([task])
                 else:
-                    reason = f"{type(error).__name__}: {error}"[:500]
-                    yield chunk[0], Outcome(status=FAILED, reason=reason, violation=1e3)
+                    yield chunk[0], failed(f"{type(error).__name__}: {error}")
         except (OSError, CancelledError, self.library.comm.core.CommClosedError, StopIteration):
             raise InputError(
                 "scheduler-lost",
@@ -191,8 +150,6 @@ class DaskPool(SerialPool):
             ) from None
 
     def close(self) -> None:
-        """Leave the scheduler; stop it if this pool started it."""
+        """Leave the scheduler."""
         with suppress(Exception):  # a lost scheduler cannot be left
             self.client.close()
-        if self.cluster is not None:
-            self.cluster.close()

@@ -70,6 +70,11 @@ class Outcome:
         )
 
 
+def failed(reason: str) -> Outcome:
+    """Result of a candidate whose evaluation did not end."""
+    return Outcome(status=FAILED, reason=reason[:500], violation=1e3)
+
+
 @dataclass(frozen=True)
 class Task:
     """Levels to evaluate with some values."""
@@ -94,6 +99,17 @@ def task_of(spec: str, params: Params, levels: tuple[str, ...]) -> Task:
     """Task with the key of its result: hash of the design's values, the levels and the program."""
     text = json.dumps([code_hash(), spec, params, levels], sort_keys=True)
     return Task(sha256(text.encode()).hexdigest()[:32], spec, params, levels)
+
+
+def chunked(tasks: Iterable[Task], workers: int) -> list[list[Task]]:
+    """Tasks in chunks; of cheap levels in some eight for each worker.
+
+    Handing out a chunk takes as long as some tenth of a cheap candidate.
+    """
+    wanted = list(tasks)
+    cheap = all(set(task.levels) <= {"rules", "sampled"} for task in wanted)
+    size = max(1, len(wanted) // (8 * workers)) if cheap else 1
+    return [wanted[first : first + size] for first in range(0, len(wanted), size)]
 
 
 class SerialPool:
