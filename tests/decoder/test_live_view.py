@@ -1,5 +1,6 @@
 """The live view: a page of its own, frames as they come, and a sensor that never waits."""
 
+import contextlib
 import http.client
 import json
 import re
@@ -14,6 +15,7 @@ import pytest
 
 from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.pipeline.frame_reading import Reading
+from phytac_decoder.serving import live_view
 from phytac_decoder.serving.live_view import LiveView, unrolled
 from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from tests.decoder.toy_sensor import toy_bundle
@@ -58,12 +60,15 @@ def looking(view: LiveView) -> Iterator[Iterator[dict[str, Any]]]:
         link.close()
 
 
-def get(view: LiveView, path: str, host: str | None = None) -> tuple[int, bytes]:
+def get(
+    view: LiveView, path: str, host: str | None = None, heads: dict[str, str] | None = None
+) -> tuple[int, bytes]:
     link = http.client.HTTPConnection("127.0.0.1", view.port, timeout=PATIENCE_S)
-    link.request("GET", path, headers={"Host": host} if host else {})
+    link.request("GET", path, headers=({"Host": host} if host else {}) | (heads or {}))
     answer = link.getresponse()
     try:
-        return answer.status, answer.read()
+        endless = answer.headers["Content-Type"] == "text/event-stream"
+        return answer.status, b"" if endless else answer.read()
     finally:
         link.close()
 
@@ -79,6 +84,72 @@ def test_the_page_needs_nothing_from_the_network() -> None:
         assert get(view, "/", "evil.example")[0] == 403
         assert get(view, "/events", f"evil.example:{view.port}")[0] == 403
         assert view.url == f"http://127.0.0.1:{view.port}/"
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "image"},
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"},
+        {"Sec-Fetch-Site": "same-site"},
+    ],
+)
+def test_another_sites_page_takes_no_viewers_place(heads: dict[str, str]) -> None:
+    with LiveView(messages().hello(), port=0) as view:
+        assert get(view, "/events", heads=heads)[0] == 403
+        assert view.viewers == 0
+        own = f"127.0.0.1:{view.port}"
+        assert get(view, "/", own, {"Origin": f"http://{own}"})[0] == 200
+        assert get(view, "/", own, {"Sec-Fetch-Site": "same-origin"})[0] == 200
+        linked = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"}
+        assert get(view, "/", own, linked)[0] == 200
+
+
+def test_a_request_that_comes_byte_by_byte_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_view._Handler, "timeout", 1.0)
+    with LiveView(messages().hello(), port=0) as view:
+        begun = time.monotonic()
+        with socket.create_connection(("127.0.0.1", view.port), timeout=0.1) as link:
+            closed = False
+            for byte in b"GET / HTTP/1.0\r\nX: " + b"x" * 200:
+                assert time.monotonic() - begun < PATIENCE_S
+                try:
+                    link.sendall(bytes([byte]))
+                    closed = link.recv(1) == b""
+                except TimeoutError:
+                    continue
+                except OSError:
+                    closed = True
+                if closed:
+                    break
+        assert closed
+        assert 0.9 < time.monotonic() - begun < 5.0
+        # A viewer stays, longer than that.
+        with looking(view) as events:
+            next(events)
+            time.sleep(1.5)
+            view.publish(frame(messages(), 1))
+            assert next(events)["sequence"] == 1
+
+
+def test_open_connections_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_view._Http, "connections_max", 4)
+    with LiveView(messages().hello(), port=0) as view:
+        address = ("127.0.0.1", view.port)
+        silent = [socket.create_connection(address, timeout=PATIENCE_S) for _ in range(4)]
+        with socket.create_connection(address, timeout=2.0) as link:
+            assert link.recv(1) == b""
+        for one in silent:
+            one.close()
+        until = time.monotonic() + PATIENCE_S
+        status = 0
+        while status != 200 and time.monotonic() < until:
+            with contextlib.suppress(OSError, http.client.HTTPException):
+                status, _ = get(view, "/")
+        assert status == 200
 
 
 def test_frames_come_with_every_point_of_the_curves() -> None:

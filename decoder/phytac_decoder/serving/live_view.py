@@ -5,6 +5,7 @@ Each browser is served by a thread from the newest frames; one that reads slowly
 
 import contextlib
 import itertools
+import socket
 import threading
 import time
 from collections import deque
@@ -12,7 +13,7 @@ from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -158,8 +159,44 @@ class LiveView:
 
 
 class _Http(ThreadingHTTPServer):
+    """A server whose connections are bounded in number, and in the time to send a request."""
+
     daemon_threads = True
     block_on_close = False
+    connections_max = 32
+    """Open connections: each has a thread. Viewers are at most a quarter."""
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self.slots = threading.BoundedSemaphore(self.connections_max)
+        self.deadlines: dict[socket.socket, float] = {}
+        """When each connection whose request is not complete is closed."""
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a connection in a thread, or close it if there are too many."""
+        if not self.slots.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:  # no thread could be started
+            self.slots.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection, in its thread."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self.slots.release()
+
+    def service_actions(self) -> None:
+        """Close connections whose requests take too long in all; called every 0.1 s."""
+        now = time.monotonic()
+        for connection, deadline in list(self.deadlines.items()):
+            if now > deadline:
+                with contextlib.suppress(OSError):  # it has closed
+                    connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Ignore it: a browser may close."""
@@ -168,19 +205,32 @@ class _Http(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     """The page, and its events."""
 
+    server: _Http
     view: LiveView
     timeout = 5.0
+    """To send a request, and to take each answer or event."""
     protocol_version = "HTTP/1.0"
+
+    def setup(self) -> None:
+        """Begin the time for the request: ``timeout`` alone begins again with every byte."""
+        super().setup()
+        self.server.deadlines[self.connection] = time.monotonic() + self.timeout
+
+    def finish(self) -> None:
+        """Forget the connection."""
+        self.server.deadlines.pop(self.connection, None)
+        super().finish()
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - the base's name
         """Log nothing."""
 
     def do_GET(self) -> None:
         """Answer a request."""
-        host = self.headers.get("Host", "").rsplit(":", 1)[0]
+        self.server.deadlines.pop(self.connection, None)
+        host = self.headers.get("Host", "")
         routes: dict[str, Callable[[], None]] = {"/": self._page, "/events": self._events}
-        # A page of another site may not read forces.
-        if host not in {LOOPBACK, "localhost", "[::1]"}:
+        # A page of another site may not read forces, nor take the places of viewers.
+        if host.rsplit(":", 1)[0] not in {LOOPBACK, "localhost", "[::1]"} or not self._own(host):
             self.send_error(HTTPStatus.FORBIDDEN, "This view is for this machine alone")
         elif self.path in routes:
             # A browser that closes is no error.
@@ -188,6 +238,15 @@ class _Handler(BaseHTTPRequestHandler):
                 routes[self.path]()
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
+
+    def _own(self, host: str) -> bool:
+        """Whether a request comes from this view's page, its user, or a program."""
+        if self.headers.get("Origin", f"http://{host}") != f"http://{host}":
+            return False
+        # A link to the page is allowed. Browsers send no Origin with <img src>.
+        linked = self.path == "/" and self.headers.get("Sec-Fetch-Dest") == "document"
+        site = self.headers.get("Sec-Fetch-Site", "none")
+        return linked or site in {"none", "same-origin"}
 
     def _page(self) -> None:
         body = files(__package__).joinpath("live_view.html").read_bytes()

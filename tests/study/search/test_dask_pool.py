@@ -213,12 +213,15 @@ def test_a_cluster_with_certificates_as_in_the_guide(
     lines = guide.split("umask 077\n")[1].split("```")[0]
     made = "\n".join(line for line in lines.splitlines() if not line.startswith("export"))
     subprocess.run(["sh", "-ec", made], cwd=tmp_path, check=True, capture_output=True)
-    for name, value in re.findall(r"(DASK_\w+)=(\S+)", lines):
-        monkeypatch.setenv(name, value.replace("$PWD", str(tmp_path)))
+    settings = {}
+    for name, text in re.findall(r"(DASK_\w+)=(\S+)", lines):
+        value = text.replace("$PWD", str(tmp_path))
+        monkeypatch.setenv(name, value)
+        settings[name[5:].lower().replace("__", ".").replace("_", "-")] = value
     running = Cluster("tls")
     try:
         address = running.listening()
-        with dask.config.set(dask.config.collect_env()), closing(DaskPool(address)) as pool:
+        with dask.config.set(settings), closing(DaskPool(address)) as pool:
             assert outcomes(pool, Bad)[11].status == FAILED
         with refused("scheduler-unreachable") as caught:
             DaskPool(address)
