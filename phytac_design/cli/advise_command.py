@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, check_out, say
 from phytac_design.cli.output import names_of, print_json, resumable
 
 
@@ -29,7 +29,10 @@ def advise(
     rounds: Annotated[int, typer.Option(min=1, help="Steps of --polish at most.")] = 6,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for advice.json and the changed designs; none if not given."),
+        typer.Option(
+            callback=check_out,
+            help="Folder for advice.json and the changed designs; none if not given.",
+        ),
     ] = None,
     seed: SeedOption = 0,
     as_json: JsonOption = False,

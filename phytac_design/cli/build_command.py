@@ -6,7 +6,14 @@ from typing import Annotated, Any
 
 import typer
 
-from phytac_design.cli.options import JsonOption, Preset, SeedOption, complete_design, say
+from phytac_design.cli.options import (
+    JsonOption,
+    Preset,
+    SeedOption,
+    check_out,
+    complete_design,
+    say,
+)
 from phytac_design.cli.output import names_of, next_step, print_json, resumable
 from phytac_shapes.errors import DesignError
 
@@ -20,7 +27,8 @@ def build(
         ),
     ] = "",
     out: Annotated[
-        Path | None, typer.Option(help="The build's own folder; exports/NAME if not given.")
+        Path | None,
+        typer.Option(callback=check_out, help="The build's own folder; exports/NAME if not given."),
     ] = None,
     accuracy: Annotated[
         Preset | None, typer.Option(help="Speed against accuracy; standard if not given.")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from phytac_design.cli.options import JsonOption
+from phytac_design.cli.options import JsonOption, check_out
 from phytac_design.cli.output import print_json
 
 
@@ -14,7 +14,8 @@ def compare(
         list[Path], typer.Argument(help="Folders of whole builds, two or more.", show_default=False)
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Page to write; comparison.html if not given.")
+        Path | None,
+        typer.Option(callback=check_out, help="Page to write; comparison.html if not given."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

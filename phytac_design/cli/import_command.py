@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from phytac_design.cli.options import DesignArgument, JsonOption, say
+from phytac_design.cli.options import DesignArgument, JsonOption, check_out, say
 from phytac_design.cli.output import print_json
 from phytac_design.cli.simulate_commands import Keep
 
@@ -18,7 +18,7 @@ def import_(
         typer.Option(help="Folder of images, or a video; twice for two cameras, near end first."),
     ],
     bundle: Annotated[Path, typer.Option(help="The design's decoder, as in exports/NAME/decoder.")],
-    out: Annotated[Path, typer.Option(help="The data set's own folder.")],
+    out: Annotated[Path, typer.Option(callback=check_out, help="The data set's own folder.")],
     rest: Annotated[
         list[str] | None,
         typer.Option(help="The unloaded sensor: one of the frames (name or number) or a file."),

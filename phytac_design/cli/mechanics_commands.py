@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from phytac_design.cli.options import DesignArgument, JsonOption, Preset, say
+from phytac_design.cli.options import DesignArgument, JsonOption, Preset, check_out, say
 from phytac_design.cli.output import names_of, next_step, print_json
 
 Theory = Literal["auto", "linear", "large"]
@@ -75,7 +75,7 @@ def press(
 
 def mesh(
     design: DesignArgument,
-    out: Annotated[Path, typer.Option(help="Folder for the files.")],
+    out: Annotated[Path, typer.Option(callback=check_out, help="Folder for the files.")],
     solid: Annotated[
         bool, typer.Option(help="Also the true CAD as quadratic tetrahedra (gmsh; minutes).")
     ] = False,
@@ -127,7 +127,9 @@ def calibrate(
     fix: Annotated[list[Parameter] | None, typer.Option(help="Known: stays as designed.")] = None,
     limit: Annotated[float, typer.Option(help="Widest ± accepted.", min=0.001, max=1.0)] = 0.1,
     accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = "standard",
-    out: Annotated[Path | None, typer.Option(help="Design file to write, calibrated.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(callback=check_out, help="Design file to write, calibrated.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Fit modulus, wall and Poisson's ratio to measured forces and displacements."""

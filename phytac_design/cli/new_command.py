@@ -7,7 +7,7 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from phytac_design.cli.options import complete_design, say
+from phytac_design.cli.options import check_out, complete_design, say
 from phytac_design.cli.output import next_step, resumable
 from phytac_shapes.errors import OutputError
 
@@ -28,7 +28,9 @@ def new(
             autocompletion=complete_design,
         ),
     ] = "",
-    out: Annotated[Path | None, typer.Option(help="File to write; NAME.toml if not given.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(callback=check_out, help="File to write; NAME.toml if not given.")
+    ] = None,
     from_step: Annotated[
         Path | None, typer.Option(help="STEP file: a patch design of one of its faces.")
     ] = None,

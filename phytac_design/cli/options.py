@@ -2,11 +2,15 @@
 
 import errno
 import os
+import stat
 import sys
 from importlib import resources
+from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+
+from phytac_shapes.errors import OutputError
 
 Preset = Literal["draft", "standard", "fine"]
 
@@ -40,3 +44,32 @@ def say(text: str) -> None:
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, sys.stderr.fileno())
         os.close(nothing)
+
+
+def check_out(out: Path | None) -> Path | None:
+    """Return an ``--out`` whose nearest existing folder may be written, before any work.
+
+    Raises
+    ------
+    OutputError
+        If it lies below a file, or permissions forbid to look there or to write.
+    """
+    for place in (out, *out.parents) if out else ():
+        reason: object = ""
+        try:
+            mode = place.stat().st_mode
+        except (FileNotFoundError, NotADirectoryError):
+            continue  # its parents show why
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+        else:
+            if not stat.S_ISDIR(mode):
+                reason = "" if place == out else f"{place} is not a folder"
+            elif not os.access(place, os.W_OK | os.X_OK):
+                reason = f"no permission to write in {place}"
+        if reason:
+            raise OutputError(
+                "output-not-writable", f"cannot write {out}: {reason}; choose another --out"
+            )
+        break
+    return out

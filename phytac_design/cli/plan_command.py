@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, check_out, say
 from phytac_design.cli.output import print_json
 
 if TYPE_CHECKING:
@@ -26,7 +26,10 @@ def plan(
         bool, typer.Option("--build", help="Build it, and compare the plan with the result.")
     ] = False,
     out: Annotated[
-        Path | None, typer.Option(help="The build's own folder; exports/NAME-SCENE if not given.")
+        Path | None,
+        typer.Option(
+            callback=check_out, help="The build's own folder; exports/NAME-SCENE if not given."
+        ),
     ] = None,
     audit: Annotated[
         bool, typer.Option(help="After the build, measure the force error with simulated presses.")

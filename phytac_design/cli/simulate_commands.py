@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, check_out, say
 from phytac_design.cli.output import next_step, print_json, resumable
 from phytac_shapes.errors import DesignError
 
@@ -26,7 +26,10 @@ def simulate(
     ] = "platform",
     out: Annotated[
         Path | None,
-        typer.Option(help="The data set's own folder; exports/DESIGN-SCENARIO if not given."),
+        typer.Option(
+            callback=check_out,
+            help="The data set's own folder; exports/DESIGN-SCENARIO if not given.",
+        ),
     ] = None,
     accuracy: Annotated[Preset, typer.Option(help="Fineness of the simulated wall.")] = "standard",
     route: Annotated[

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from phytac_design.cli.options import JsonOption, say
+from phytac_design.cli.options import JsonOption, check_out, say
 from phytac_design.cli.output import print_json
 
 if TYPE_CHECKING:
@@ -16,7 +16,8 @@ StudyArgument = Annotated[
     str, typer.Argument(help="A shipped study or the path of a study file.", show_default=False)
 ]
 OutOption = Annotated[
-    Path | None, typer.Option(help="The study's own folder; studies/NAME if not given.")
+    Path | None,
+    typer.Option(callback=check_out, help="The study's own folder; studies/NAME if not given."),
 ]
 WorkersOption = Annotated[
     int, typer.Option(min=0, help="Worker processes on this machine; 0 for none.")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from phytac_design.cli.options import DesignArgument, JsonOption, say
+from phytac_design.cli.options import DesignArgument, JsonOption, check_out, say
 from phytac_design.cli.output import names_of, print_json, resumable
 
 if TYPE_CHECKING:
@@ -19,7 +19,9 @@ def tradeoff(
     ] = "",
     out: Annotated[
         Path | None,
-        typer.Option(help="The result's own folder; exports/NAME-tradeoff if not given."),
+        typer.Option(
+            callback=check_out, help="The result's own folder; exports/NAME-tradeoff if not given."
+        ),
     ] = None,
     quick: Annotated[bool, typer.Option(help="Few joint settings.")] = False,
     as_json: JsonOption = False,

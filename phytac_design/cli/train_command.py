@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, check_out, say
 from phytac_design.cli.output import next_step, print_json
 
 DataArgument = Annotated[
@@ -18,7 +18,10 @@ def train(
     data: DataArgument,
     out: Annotated[
         Path | None,
-        typer.Option(help="The decoder's own folder; exports/NAME/decoder-trained if not given."),
+        typer.Option(
+            callback=check_out,
+            help="The decoder's own folder; exports/NAME/decoder-trained if not given.",
+        ),
     ] = None,
     samples: Annotated[
         int | None,
@@ -78,7 +81,9 @@ def evaluate(
     data: DataArgument,
     out: Annotated[
         Path | None,
-        typer.Option(help="The result's own folder; next to the decoder if not given."),
+        typer.Option(
+            callback=check_out, help="The result's own folder; next to the decoder if not given."
+        ),
     ] = None,
     design: Annotated[
         str | None,

@@ -251,21 +251,26 @@ class StageTask:
 
 def _claim(out: Path, design: Design, *, force: bool) -> None:
     """Claim the folder before any long work; reject another design's or an unwritable one."""
-    if (out / MANIFEST).is_file() or (out / OLD_MANIFEST).is_file():
-        other = _old_manifest(out).get("design")
-        name = other.get("name") if isinstance(other, dict) else None
-        if name != design.name and not force:
+    try:
+        if (out / MANIFEST).is_file() or (out / OLD_MANIFEST).is_file():
+            other = _old_manifest(out).get("design")
+            name = other.get("name") if isinstance(other, dict) else None
+            if name != design.name and not force:
+                raise OutputError(
+                    "output-foreign",
+                    f"{out} holds the design {name!r}, not {design.name!r}; "
+                    "choose another --out, or overwrite it with --force",
+                )
+        elif (
+            out.is_dir()
+            and any(out.iterdir())
+            and not (out / "design.toml").is_file()
+            and not force
+        ):
             raise OutputError(
                 "output-foreign",
-                f"{out} holds the design {name!r}, not {design.name!r}; "
-                "choose another --out, or overwrite it with --force",
+                f"{out} is not empty and not a build; choose another --out, or use --force",
             )
-    elif out.is_dir() and any(out.iterdir()) and not (out / "design.toml").is_file() and not force:
-        raise OutputError(
-            "output-foreign",
-            f"{out} is not empty and not a build; choose another --out, or use --force",
-        )
-    try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):
             pass
