@@ -107,6 +107,29 @@ def test_processes_are_kept_or_replaced_and_have_one_thread() -> None:
         assert [r.value for r in pool.run(["OPENBLAS_NUM_THREADS"])] == ["1"]
 
 
+PRODUCTS = """
+import os, phytac_design.cli.app
+import numpy as np
+values = np.random.default_rng(0).normal(size=(700, 700))
+print(len(os.listdir("/proc/self/task")), (values @ values).tobytes().hex()[:4000])
+"""
+
+
+def test_a_command_gives_the_same_digits_whatever_the_environment() -> None:
+    """With two threads of BLAS the last digits differ."""
+
+    def digits(threads: str) -> tuple[str, str]:
+        names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+        command = [sys.executable, "-c", PRODUCTS]
+        own = os.environ | dict.fromkeys(names, threads)
+        done = subprocess.run(command, env=own, check=True, capture_output=True, text=True)
+        count, product = done.stdout.split()
+        return count, product
+
+    assert digits("2") == digits("1")
+    assert digits("2")[0] == "1"
+
+
 SCRIPT = """
 import os, sys, time
 from pathlib import Path

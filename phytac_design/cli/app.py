@@ -8,9 +8,11 @@ from typing import Annotated
 
 import typer
 
-# One BLAS thread, set before numpy loads: the sparse solver's many small products run several
-# times slower on two.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from phytac_design.core.threads import BLAS_THREADS
+
+# One BLAS thread, set before numpy loads and whatever the user's environment says: results are the
+# same, byte for byte. The sparse solver's many small products run several times slower on two.
+os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
 
 from phytac_design.cli import (
     advise_command,

@@ -7,12 +7,15 @@ from contextlib import contextmanager
 THREADS = "PHYTAC_THREADS"
 """Environment variable that bounds the threads; processes that run side by side set it to 1."""
 
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""What the common BLAS libraries read when they are loaded. The last digits of their results depend
+on the number of threads."""
+
 
 @contextmanager
 def one_thread_each(*others: str) -> Iterator[None]:
     """Processes started inside use one BLAS thread each; ``others`` are set to 1 as well."""
-    # The common BLAS libraries read these when they are loaded.
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", *others)
+    names = (*BLAS_THREADS, *others)
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(dict.fromkeys(names, "1"))
     try:

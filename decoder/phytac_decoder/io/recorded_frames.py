@@ -137,7 +137,8 @@ class VideoFile(ImageSequence):
                 "JPEG), a folder of images, a video, or a camera's number",
             )
         sides = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-        check_pixels(*map(video.get, sides), self.description)
+        width, height = map(video.get, sides)
+        check_pixels(width, height, self.description)
         return video
 
     def images(self) -> Iterator[RecordedImage]:

@@ -130,7 +130,8 @@ class FrameVideo(FrameSource):
                 f"{self.where} is not a video that can be read; give a video or a folder of images",
             )
         sides = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-        check_pixels(*map(self._video.get, sides), self.where)
+        width, height = map(self._video.get, sides)
+        check_pixels(width, height, self.where)
 
     def read(self, number: int) -> ImageArray:
         """Picture of a number, BGR."""
