@@ -91,9 +91,37 @@ def test_one_image_is_printed_in_full(toy: Path) -> None:
     assert re.fullmatch(r"total 6\.\d\d N on 3 switched receptors", lines[4])
     result = json.loads(run(*words, "--json")[0])
     assert list(result) == [
-        "design", "estimator", "found", "forces_N", "total_N", "contacts", "warnings", "limits"
+        "design", "estimator", "found", "forces_N", "total_N", "contacts", "net_force_N",
+        "net_moment_Nmm", "moment_about_mm", "warnings", "limits",
     ]  # fmt: skip
     assert result["forces_N"]["14"] == pytest.approx(3.0, abs=0.15)
+
+
+def test_moments_are_about_the_point_that_is_given(toy: Path, tmp_path: Path) -> None:
+    """One image and a recording; 2 N on marker 7, at (10, 10, 0) mm."""
+    about, image = ("--moment-about", "10", "-20", "-5"), toy / "frames" / "frame_3.png"
+    reported, _ = run(toy / "decoder", image)
+    (line,) = [line for line in reported.splitlines() if line.startswith("net force")]
+    assert re.fullmatch(
+        r"net force \(0\.00, 0\.00, -(\S+)\) N, moment \(-\S+, \S+, 0\.0\) N·mm about "
+        r"\(0, 0, 0\) mm",
+        line,
+    )
+    one = json.loads(run(toy / "decoder", image, "--json", *about)[0])
+    (row,) = run(toy / "decoder", image, "--fps", "10", "--json", *about)[0].splitlines()
+    run(toy / "decoder", image, "--csv", tmp_path / "out.csv", *about)
+    (written,) = rows_of(tmp_path / "out.csv")
+    for name in ("net_force_N", "net_moment_Nmm", "moment_about_mm"):
+        assert one[name] == json.loads(row)[name]
+        head, unit = name.rsplit("_", 1)
+        assert [float(written[f"{head}_{axis}_{unit}"]) for axis in "xyz"] == one[name]
+    assert one["moment_about_mm"] == [10.0, -20.0, -5.0]
+    assert one["net_force_N"] == pytest.approx([0.0, 0.0, -2.0], abs=0.15)
+    # From the point: (0, 30, 5) mm.
+    assert one["net_moment_Nmm"] == pytest.approx([-60.0, 0.0, 0.0], abs=5.0)
+    for command in ((image,), (image, "--fps", "10")):
+        with refused("moment-reference-invalid"):
+            run(toy / "decoder", *command, "--moment-about", "nan", "0", "0")
 
 
 def test_a_folder_gives_one_row_per_frame(toy: Path) -> None:

@@ -27,6 +27,7 @@ PATIENCE_S = 60.0
 def test_a_browser_sees_frames_until_it_is_stopped(tmp_path: Path) -> None:
     decoder, frames = toy_recording(tmp_path, [{}, {14: 3.0}, {14: 3.0}])
     words = ("live", str(decoder), str(frames), "--fps", "50", "--loop", "--every", "--port", "0")
+    words += ("--moment-about", "20", "20", "5")
     done = subprocess.Popen(
         ["env", "--default-signal=INT", *PHYTAC, *words],
         stdout=subprocess.PIPE,
@@ -51,6 +52,7 @@ def test_a_browser_sees_frames_until_it_is_stopped(tmp_path: Path) -> None:
                 if message["total_N"] > 0.0:
                     break
             assert message["total_N"] == pytest.approx(3.0, abs=0.15)
+            assert message["moment_about_mm"] == [20.0, 20.0, 5.0]
             done.send_signal(signal.SIGINT)
             assert json.loads(list(data)[-1][6:]) == {"type": "end", "reason": "stopped"}
             link.close()

@@ -58,7 +58,8 @@ def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
 
 def test_a_recording_goes_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: Path) -> None:
     out = tmp_path / "out.csv"
-    more = ("--fps", "100", "--every", "--wait", "--record", str(out))
+    about = ("--moment-about", "0", "0", "-9")
+    more = ("--fps", "100", "--every", "--wait", "--record", str(out), *about)
     with serving(*toy, *more) as (done, port):
         client = [sys.executable, str(ROOT / "examples" / "stream" / "client.py")]
         printed = subprocess.run(
@@ -76,9 +77,11 @@ def test_a_recording_goes_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: 
     assert [row["markers"] for row in rows] == ["", "14", "14 15", "29", "7"]
     assert [row["timestamp_s"] for row in rows] == ["0.0", "0.01", "0.02", "0.02", "0.03"]
     assert float(rows[1]["force_N"]) == pytest.approx(3.0, abs=0.15)
-    assert printed[0] == "toy 30 markers, protocol 1.5"
+    assert printed[0] == "toy 30 markers, protocol 1.6"
     assert printed[-1] == "end: the source has ended"
     assert printed[1] == f"1 {rows[1]['force_N']} N at [20.0, 20.0, 0.0]"
+    x, y, z = (float(rows[1][f"net_moment_{axis}_Nmm"]) for axis in "xyz")
+    assert printed[2].endswith(f"moment [{x}, {y}, {z}] N mm about [0.0, 0.0, -9.0] mm")
 
 
 def test_the_example_passes_over_messages_of_later_versions() -> None:

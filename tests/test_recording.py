@@ -42,7 +42,13 @@ def test_contacts_and_regions_come_back_with_their_types(tmp_path: Path) -> None
     assert to_parquet(contacts, tmp_path / "out.parquet") == (4, len(COLUMNS))
     table = parquet.read_table(tmp_path / "out.parquet")
     assert tuple(table.column_names) == COLUMNS
+    vectors = [name for name in COLUMNS if name.startswith(("normal", "net_", "moment_"))]
+    assert len(vectors) == 18
+    # Without `auto` some are empty in every row.
+    assert {str(table.schema.field(name).type) for name in vectors} == {"double"}
     first, second, black, none = table.to_pylist()
+    assert [first[f"net_moment_{axis}_Nmm"] for axis in "xyz"] == [-70.0, 70.0, 0.0]
+    assert (first["net_force_sd_x_N"], none["normal_x"], none["net_force_z_N"]) == (None, None, 0.0)
     assert (first["markers"], first["force_N"], first["id"]) == ([7, 14], 4.0, 0)
     assert (first["valid"], first["region"], first["sequence"]) == (True, "thumb", 0)
     assert (second["markers"], second["region"]) == ([28], None)

@@ -5,8 +5,8 @@ using System.Net.Sockets;
 using System.Runtime.Serialization.Json;
 using System.Text;
 
-public class Contact { public int[] markers; public double force_N; public double[] position_mm; }
-public class Frame { public string type; public long sequence; public bool valid; public double timestamp_s, total_N; public Contact[] contacts; }
+public class Contact { public int[] markers; public double force_N; public double[] position_mm, normal; }
+public class Frame { public string type; public long sequence; public bool valid; public double timestamp_s, total_N; public double[] net_force_N, net_moment_Nmm; public Contact[] contacts; }
 
 public static class Client
 {

@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""What does the sensor feel? Prints each contact: ``python client.py [host] [port]``."""
+"""What does the sensor feel? Prints contacts and their sum: ``python client.py [host] [port]``."""
 
 import json
 import socket
@@ -22,3 +22,7 @@ with socket.create_connection((host, port)) as link, link.makefile("rb") as line
         else:
             for contact in message["contacts"]:
                 print(message["sequence"], contact["force_N"], "N at", contact["position_mm"])
+            if message["contacts"]:
+                force, moment = message["net_force_N"], message["net_moment_Nmm"]
+                about = message["moment_about_mm"]
+                print("  net force", force, "N, moment", moment, "N mm about", about, "mm")

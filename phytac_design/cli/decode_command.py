@@ -18,6 +18,7 @@ from phytac_design.cli.serve_command import (
     ControlOption,
     DesignOption,
     FollowOption,
+    MomentAboutOption,
     MountOption,
     RecordRegionsOption,
     RegionsOption,
@@ -36,6 +37,8 @@ from phytac_shapes.errors import InputError, OutputError
 if TYPE_CHECKING:
     from phytac_decoder.camera.camera_motion import Mount
     from phytac_decoder.estimation.contact_estimates import LocatedContact
+    from phytac_decoder.io.bundle import Bundle
+    from phytac_decoder.pipeline.frame_reading import Reading
     from phytac_decoder.serving.sensor_loop import Progress
     from phytac_decoder.serving.wire_protocol import Message
 
@@ -66,6 +69,7 @@ def decode(
     regions: RegionsOption = None,
     design: DesignOption = None,
     record_regions: RecordRegionsOption = None,
+    moment_about: MomentAboutOption = (0.0, 0.0, 0.0),
     as_json: JsonOption = False,
 ) -> None:
     """Decode an image, a folder of images, a video or a camera to forces in newtons."""
@@ -81,6 +85,7 @@ def decode(
             design,
             mount=mount,
             stiffness_change=stiffness_change,
+            moment_about=moment_about,
             as_json=as_json,
         )
         return
@@ -103,7 +108,7 @@ def decode(
             fps=fps,
             pace=False,
         )
-        _decode_recording(session, files, as_json=as_json)
+        _decode_recording(session, files, moment_about, as_json=as_json)
 
 
 def is_image(where: str) -> bool:
@@ -124,9 +129,12 @@ def _decode_frame(
     *,
     mount: "Mount",
     stiffness_change: float,
+    moment_about: tuple[float, float, float],
     as_json: bool,
 ) -> None:
     """One frame of each camera, in full."""
+    import numpy as np
+
     from phytac_decoder.estimation.force_regions import RegionForces
     from phytac_decoder.io.bundle import load_bundle
     from phytac_decoder.io.recorded_frames import read_image
@@ -134,6 +142,7 @@ def _decode_frame(
     from phytac_decoder.pipeline.decode import FOUND_WELL, measure_frame
     from phytac_decoder.pipeline.frame_reading import marker_loads, read
     from phytac_decoder.serving.sensor_loop import check_estimator
+    from phytac_decoder.serving.wire_protocol import MessageBuilder, wrench_fields
 
     bundle = load_bundle(folder, mount=mount, stiffness_change=stiffness_change / 100.0)
     chosen = estimator or bundle.model.best
@@ -142,6 +151,7 @@ def _decode_frame(
     images = [read_image(Path(where)) for where in frames]
     if rest:
         bundle = calibrate_rest(bundle, [read_image(path) for path in rest])
+    messages = MessageBuilder(bundle=bundle, estimator=chosen, moment_about_mm=moment_about)
     measured = measure_frame(bundle, images)
     reading = read(bundle, measured, chosen)
     if not reading.valid:
@@ -158,6 +168,8 @@ def _decode_frame(
             strict=True,
         )
     )
+    normals = messages.normals(np.array([one.point_mm for one in contacts]).reshape(-1, 3))
+    net = wrench_fields(messages.wrench(reading), moment_about)
     for warning in (*bundle.limits(), *reading.warnings):
         say(f"warning: {warning}")
     if as_json:
@@ -172,12 +184,14 @@ def _decode_frame(
                     "force_N": round(contact.force_N, 4),
                     "sd_N": round(contact.sd_N, 4),
                     "position_mm": [round(float(x), 3) for x in contact.point_mm],
+                    "normal": [round(float(x), 5) for x in normal],
                     "radius_mm": round(contact.radius_mm, 3),
                     "markers": contact.markers.tolist(),
                     **shear_of(contact),
                 }
-                for contact in contacts
+                for contact, normal in zip(contacts, normals, strict=True)
             ],
+            **net,
             "warnings": reading.warnings,
             "limits": bundle.limits(),
         }
@@ -186,26 +200,17 @@ def _decode_frame(
         print_json(result)
         return
     typer.echo(f"{bundle.design}: {int(measured.found.sum())} of {len(forces)} markers found")
-    for marker in koi:
-        x, y, z = bundle.position_mm[marker]
-        typer.echo(
-            f"  marker {marker:4d} at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {forces[marker]:7.2f} N"
-        )
-    for contact in contacts:
-        x, y, z = contact.point_mm
-        switched = "" if len(contact.markers) else "; it tripped no switch"
-        shear = shear_of(contact)
-        aside = ""
-        if shear:
-            aside = ", along the surface ({:.2f}, {:.2f}, {:.2f}) N".format(*shear["shear_N"])
-        typer.echo(
-            f"  contact at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {contact.force_N:.2f} N, standard "
-            f"deviation {contact.sd_N:.2f} N, radius {contact.radius_mm:.1f} mm{aside}{switched}"
-        )
+    _print_loads(bundle, reading)
     for name, force in region_N.items():
         typer.echo(f"  region {name}  {force:.2f} N")
     aside = f" and {len(reading.unswitched)} contacts without one" if reading.unswitched else ""
     typer.echo(f"total {total_N:.2f} N on {len(koi)} switched receptors{aside}")
+    typer.echo(
+        "net force ({:.2f}, {:.2f}, {:.2f}) N, moment ({:.1f}, {:.1f}, {:.1f}) N·mm about "
+        "({:g}, {:g}, {:g}) mm".format(
+            *net["net_force_N"], *net["net_moment_Nmm"], *net["moment_about_mm"]
+        )
+    )
     doubts = len(reading.warnings)
     typer.echo(
         f"the frame is {'doubtful, see the warnings' if doubts else 'good'}: "
@@ -217,6 +222,25 @@ def _decode_frame(
         else "give --rest FRAME, a picture of the unloaded sensor in the same light: forces are "
         "measured from it"
     )
+
+
+def _print_loads(bundle: "Bundle", reading: "Reading") -> None:
+    """Markers and contacts of one frame with their forces."""
+    for marker in reading.koi:
+        x, y, z = bundle.position_mm[marker]
+        force_N = reading.forces_N[marker]
+        typer.echo(f"  marker {marker:4d} at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {force_N:7.2f} N")
+    for contact in reading.found.contacts if reading.found else []:
+        x, y, z = contact.point_mm
+        switched = "" if len(contact.markers) else "; it tripped no switch"
+        shear = shear_of(contact)
+        aside = ""
+        if shear:
+            aside = ", along the surface ({:.2f}, {:.2f}, {:.2f}) N".format(*shear["shear_N"])
+        typer.echo(
+            f"  contact at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {contact.force_N:.2f} N, standard "
+            f"deviation {contact.sd_N:.2f} N, radius {contact.radius_mm:.1f} mm{aside}{switched}"
+        )
 
 
 def shear_of(contact: "LocatedContact") -> dict[str, list[float]]:
@@ -285,7 +309,13 @@ def _row(message: "Message") -> str:
     return "  ".join(parts)
 
 
-def _decode_recording(session: Session, files: dict[str, Path], *, as_json: bool) -> None:
+def _decode_recording(
+    session: Session,
+    files: dict[str, Path],
+    moment_about: tuple[float, float, float],
+    *,
+    as_json: bool,
+) -> None:
     """One row per frame, until the source ends or Ctrl-C; what was decoded is kept."""
     from phytac_decoder.serving.sensor_loop import Stream
     from phytac_design.core.parquet_recording import to_parquet
@@ -302,7 +332,7 @@ def _decode_recording(session: Session, files: dict[str, Path], *, as_json: bool
         stream = Stream(
             source=frames,
             decode=session.decode,
-            messages=session.messages(),
+            messages=session.messages(moment_about),
             publish=printer.publish,
             recorders=list(kept.values()),
             report=say,

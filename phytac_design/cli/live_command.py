@@ -16,6 +16,7 @@ from phytac_design.cli.serve_command import (
     FollowOption,
     FpsOption,
     LoopOption,
+    MomentAboutOption,
     MountOption,
     RecordOption,
     RegionsOption,
@@ -46,6 +47,7 @@ def live(
     regions: RegionsOption = None,
     design: DesignOption = None,
     record: RecordOption = None,
+    moment_about: MomentAboutOption = (0.0, 0.0, 0.0),
     control: ControlOption = None,
     every: EveryOption = False,
     loop: LoopOption = False,
@@ -76,7 +78,7 @@ def live(
             every=every,
             loop=loop,
         )
-        frames, messages = session.source, session.messages()
+        frames, messages = session.source, session.messages(moment_about)
         view = stack.enter_context(LiveView(messages.hello(), port=port))
         kept = open_recorders(stack, record, None, [])
         report(f"{session.bundle.design}: {frames.description}; look at {view.url}; Ctrl-C stops")

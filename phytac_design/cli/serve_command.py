@@ -99,6 +99,13 @@ RegionsOption = Annotated[
         "docs/streaming.md."
     ),
 ]
+MomentAboutOption = Annotated[
+    tuple[float, float, float],
+    typer.Option(
+        help="Point x y z in the sensor's frame, mm, about which net moments are taken.",
+        metavar="X Y Z",
+    ),
+]
 DesignOption = Annotated[
     str | None,
     typer.Option(help="The design, for regions by rows or shares; the build's if not given."),
@@ -139,6 +146,7 @@ def serve(
     regions: RegionsOption = None,
     design: DesignOption = None,
     record_regions: RecordRegionsOption = None,
+    moment_about: MomentAboutOption = (0.0, 0.0, 0.0),
     control: ControlOption = None,
     every: EveryOption = False,
     loop: LoopOption = False,
@@ -177,7 +185,7 @@ def serve(
         )
         loaded, frames = session.bundle, session.source
         started_s = time.monotonic()
-        messages = session.messages()
+        messages = session.messages(moment_about)
         motion = None
         if imu is not None:
             motion = Imu(imu, clock=lambda: time.monotonic() - started_s, report=report)
@@ -260,8 +268,8 @@ class Session(NamedTuple):
         """Names of the regions."""
         return [region.name for region in self.regions]
 
-    def messages(self) -> "MessageBuilder":
-        """Messages of a stream that begins now."""
+    def messages(self, moment_about_mm: tuple[float, float, float]) -> "MessageBuilder":
+        """Messages of a stream that begins now, with moments about a point."""
         import time
 
         from phytac_decoder.serving.wire_protocol import MessageBuilder
@@ -273,6 +281,7 @@ class Session(NamedTuple):
             clock=self.source.clock,
             started_unix_s=time.time(),
             regions=self.regions,
+            moment_about_mm=moment_about_mm,
         )
 
 

@@ -90,7 +90,14 @@ def _read(arrow: Any, recording: Path, report: Callable[[str], None]) -> Any:
         "size_mm",
         "since_s",
         "sd_N",
-        *(f"shear_{part}{axis}_N" for part in ("", "sd_") for axis in "xyz"),
+        *(
+            f"{name}_{part}{axis}_N"
+            for name in ("shear", "net_force")
+            for part in ("", "sd_")
+            for axis in "xyz"
+        ),
+        *(f"net_moment_{part}{axis}_Nmm" for part in ("", "sd_") for axis in "xyz"),
+        *(form.format(axis) for form in ("normal_{}", "moment_about_{}_mm") for axis in "xyz"),
     ]
     types = dict.fromkeys(numbers, arrow.float64()) | {"valid": arrow.bool_()}
     # Empty where a frame has no contact.

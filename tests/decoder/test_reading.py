@@ -55,14 +55,13 @@ def reading(*contacts: LocatedContact) -> Reading:
 
 
 def messages() -> MessageBuilder:
-    """A stream with the normals of a plane and two regions."""
+    """A stream of a plane with two regions."""
     bundle = toy_bundle()
     left = Region(name="left", markers=(7, 8))
     right = Region(name="right", markers=(28, 29))
     return MessageBuilder(
         bundle=bundle,
         estimator="auto",
-        normals=np.tile([0.0, 0.0, 1.0], (COUNT, 1)),
         regions=(left, right),
     )
 
@@ -241,6 +240,12 @@ def test_the_net_force_acts_along_the_surfaces_normals(
     net = -(got.forces_N @ normal)
     assert np.linalg.norm(net) > 1.0
     assert sent["net_force_N"] == pytest.approx(net, abs=1e-3)
+    moment = np.cross(bundle.position_mm, -got.forces_N[:, None] * normal).sum(axis=0)
+    assert sent["net_moment_Nmm"] == pytest.approx(moment, abs=0.1)
+    # Without tables normals are fitted through the markers.
+    plain = replace(bundle, model=replace(bundle.model, locator=None))
+    fitted = MessageBuilder(bundle=plain, estimator="koi_inverse").outward
+    assert np.sum(fitted * normal, axis=1).min() > np.cos(np.radians(3.0))
 
 
 def test_other_estimators_leave_grouping_to_the_stream(

@@ -27,7 +27,6 @@ from phytac_decoder.serving.wire_protocol import (
     json_bytes,
     with_dropped,
 )
-from phytac_shapes.arrays import FloatArray
 from tests.decoder.toy_sensor import toy_bundle
 from tests.made_up import at, found_of
 from tests.refusals import refused
@@ -35,8 +34,8 @@ from tests.refusals import refused
 COUNT = 30
 
 
-def messages(normals: FloatArray | None = None) -> MessageBuilder:
-    return MessageBuilder(bundle=toy_bundle(), estimator="koi_inverse", normals=normals)
+def messages() -> MessageBuilder:
+    return MessageBuilder(bundle=toy_bundle(), estimator="koi_inverse")
 
 
 def reading(forces_N: dict[int, float], *warnings: str) -> Reading:
@@ -47,7 +46,7 @@ def reading(forces_N: dict[int, float], *warnings: str) -> Reading:
 
 def test_hello_describes_the_numbers() -> None:
     hello = messages().hello()
-    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.5")
+    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.6")
     assert hello["design"] == "toy"
     assert hello["markers"] == len(hello["positions_mm"]) == COUNT
     assert hello["positions_mm"][7] == [10.0, 10.0, 0.0]
@@ -70,7 +69,7 @@ def test_contacts_are_connected_key_nodes_with_their_force_weighted_place() -> N
     assert (message["sequence"], message["timestamp_s"], message["valid"]) == (5, 0.25, True)
     assert (message["koi"], message["forces_N"]) == ([7, 14, 29], [3.0, 1.0, 0.5])
     assert message["total_N"] == 4.5
-    assert "net_force_N" not in message
+    assert message["net_force_N"] == [0.0, 0.0, -4.5]
 
 
 def test_ids_survive_frames_that_cannot_be_read() -> None:
@@ -100,28 +99,18 @@ def test_regions_have_their_forces_and_contacts_their_region() -> None:
     assert [each["force_N"] for each in idle["regions"]] == [0.0, 0.0, 0.0]
 
 
-def test_net_force_acts_against_the_outward_normals() -> None:
-    normals = np.tile([0.0, 0.6, 0.8], (COUNT, 1))
-    normals[3] = [1.0, 0.0, 0.0]
-    message = messages(normals).frame(reading({3: 2.0, 8: 5.0}), sequence=0, timestamp_s=0.0)
-    assert message["net_force_N"] == [-2.0, -3.0, -4.0]
-
-
 def test_force_along_the_surface_is_part_of_contact_net_force_and_recording(
     tmp_path: Path,
 ) -> None:
     one = replace(
         at(np.array([10.0, 10.0, 0.0]), [7], 3.0),
         shear_N=np.array([0.5, -1.0, 0.0]),
-        shear_sd_N=np.array([0.1, 0.2, 0.0]),
+        shear_covariance_N2=np.diag([0.01, 0.04, 0.0]),
         shear_share=0.2,
     )
     hidden = replace(one, point_mm=np.array([40.0, 40.0, 0.0]), shear_share=0.9)
     found = found_of(one, hidden, shift_px=np.zeros(2 * COUNT))
-    normals = np.tile([0.0, 0.0, 1.0], (COUNT, 1))
-    message = messages(normals).frame(
-        replace(reading({7: 3.0}), found=found), sequence=0, timestamp_s=0.0
-    )
+    message = messages().frame(replace(reading({7: 3.0}), found=found), sequence=0, timestamp_s=0.0)
     seen, unseen = message["contacts"]
     assert seen["shear_N"] == [0.5, -1.0, 0.0]
     assert seen["shear_sd_N"] == [0.1, 0.2, 0.0]
@@ -130,8 +119,8 @@ def test_force_along_the_surface_is_part_of_contact_net_force_and_recording(
     with Recorder(tmp_path / "out.csv") as recorder:
         recorder.add(message)
     _, first, second = (tmp_path / "out.csv").read_text().splitlines()
-    assert first.endswith(",0.5,-1.0,0.0,0.1,0.2,0.0")
-    assert second.endswith(",,,,,,")
+    assert ",0.5,-1.0,0.0,0.1,0.2,0.0,0.0,0.0,1.0," in first
+    assert ",,,,,,,0.0,0.0,1.0," in second
 
 
 def test_a_pull_does_not_push_a_contacts_place_off_it() -> None:
@@ -144,8 +133,7 @@ def test_a_pull_does_not_push_a_contacts_place_off_it() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_forces_that_are_not_finite_are_left_out(bad: float) -> None:
-    normals = np.tile([0.0, 0.0, 1.0], (COUNT, 1))
-    message = messages(normals).frame(
+    message = messages().frame(
         reading({2: 1.0, 7: bad, 8: 2.0}, "it is dark"), sequence=0, timestamp_s=0.0
     )
     text = json_bytes(message)
@@ -344,10 +332,13 @@ def test_a_recording_has_a_row_for_each_contact_and_loses_none(tmp_path: Path) -
     head, *rows = [line.split(",") for line in path.read_text().splitlines()]
     assert tuple(head) == COLUMNS
     first, second = ["4", "0.5", "1", "2", "0"], ["4", "0.5", "1", "2", "1"]
+    up, no_force, none = ["0.0", "0.0", "1.0"], ["0.0"] * 3, [""] * 3
+    # 3 N at (10, 10), 1 N at (20, 20) and 0.5 N at (40, 40) mm, towards -z.
+    net = ["0.0", "0.0", "-4.5", *none, "-70.0", "70.0", "0.0", *none, *no_force]
     assert rows == [
-        [*first, "4.0", "12.5", "12.5", "0.0", "7 14", "0", "20.82", "0.5", *[""] * 8],
-        [*second, "0.5", "40.0", "40.0", "0.0", "28", "1", "11.55", "0.5", *[""] * 8],
-        ["6", "0.75", "1", "0", *[""] * 17],
+        [*first, "4.0", "12.5", "12.5", "0.0", "7 14", "0", "20.82", "0.5", *[""] * 8, *up, *net],
+        [*second, "0.5", "40.0", "40.0", "0.0", "28", "1", "11.55", "0.5", *[""] * 8, *up, *net],
+        ["6", "0.75", "1", "0", *[""] * 20, *no_force, *none, *no_force, *none, *no_force],
     ]
     with refused("output-exists") as caught:
         Recorder(path)
@@ -376,7 +367,7 @@ def test_a_recording_of_regions_has_a_row_for_each_frame(tmp_path: Path) -> None
 class Full(io.FileIO):
     """A file on a disk that takes few bytes more."""
 
-    room = 235
+    room = 560
 
     def write(self, data: Any) -> int:
         if self.room <= 0:
@@ -395,7 +386,7 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.Monke
         with refused("output-not-writable"):
             recorder.add(messages().frame(reading({7: 3.0, 28: 1.0}), sequence=1, timestamp_s=0.1))
     assert path.read_bytes() == whole
-    assert whole.endswith(b",,\n")
+    assert whole.endswith(b",0.0,0.0,0.0\n")
     monkeypatch.setattr(Full, "room", 20)
     with refused("output-not-writable"):
         Recorder(tmp_path / "none.csv")

@@ -25,13 +25,15 @@ def test_contacts_of_every_kind_are_shown(browser: Browser) -> None:
             tab = Tab(context.new_page())
             tab.page.goto(f"http://127.0.0.1:{view.port}/", timeout=WAIT_MS)
             tab.page.get_by_text("toy, auto").wait_for(timeout=WAIT_MS)
-            shown = []
+            shown, net = [], []
             for number, (each, total) in enumerate([(both, "6.5 N"), (grouped, "3.0 N")]):
                 view.publish(make.frame(each, sequence=number, timestamp_s=0.1 * number))
                 tab.page.get_by_text(total, exact=True).wait_for(timeout=WAIT_MS)
                 # The drawing is done in the same step as the table, after it.
                 tab.page.wait_for_timeout(50)
                 shown.append(tab.page.locator("#contacts tr").all_inner_texts())
+                net.append(tab.page.locator("#net tr").all_inner_texts())
+            assert tab.page.get_by_text("moment about (0, 0, 0) mm").count() == 1
     finally:
         context.close()
     # Browsers ask for an icon; there is none.
@@ -41,3 +43,7 @@ def test_contacts_of_every_kind_are_shown(browser: Browser) -> None:
     assert [row[:3] for row in first[1:]] == [["0", "4.00", "0.20"], ["1", "2.50", "0.13"]]
     assert second[0] == ["id", "N", "mm wide", "since s"]
     assert second[1][:2] == ["0", "3.00"]
+    # 4 N at (10.5, 10) and 2.5 N at (41, 39) mm, inward; then 3 N at (10, 10) mm.
+    both_rows = [["N", "0.00", "0.00", "-6.50"], ["N·mm", "-137.5", "144.5", "0.0"]]
+    assert [row.split("\t") for row in net[0][1:]] == both_rows
+    assert net[1][2].split("\t") == ["N·mm", "-30.0", "30.0", "0.0"]

@@ -36,9 +36,10 @@ class LocatedContact:
         Second moments xx, xy, yy less those of the tables' disc.
     signal_px : float
         Shift of all markers together, px per newton.
-    shear_N, shear_sd_N : (3,) float
-        Force along the surface on the sensor, in the sensor's axes, and the standard deviation of
-        each component.
+    shear_N : (3,) float
+        Force along the surface on the sensor, in the sensor's axes.
+    shear_covariance_N2 : (3, 3) float
+        Its covariance.
     shear_share : float
         Standard deviation of that force in its best known direction over what it was before the
         frame: near 0 the markers determine it, from 1 on they say nothing about it.
@@ -56,8 +57,13 @@ class LocatedContact:
     moments_mm2: FloatArray
     signal_px: float
     shear_N: FloatArray = field(default_factory=lambda: np.zeros(3))
-    shear_sd_N: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+    shear_covariance_N2: FloatArray = field(default_factory=lambda: np.diag(np.full(3, np.inf)))
     shear_share: float = 1.0
+
+    @property
+    def shear_sd_N(self) -> FloatArray:
+        """Standard deviation (3,) of each component of the force along the surface."""
+        return np.sqrt(np.maximum(self.shear_covariance_N2.diagonal(), 0.0))
 
     @property
     def shear_observed(self) -> bool:

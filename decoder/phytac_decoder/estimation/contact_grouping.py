@@ -136,6 +136,11 @@ class ContactGrouper:
         return order, np.maximum(spacing, 1e-9)
 
     @cached_property
+    def _quadrics(self) -> dict[int, tuple[FloatArray, FloatArray]]:
+        """Quadrics so far, by marker."""
+        return {}
+
+    @cached_property
     def spacing_mm(self) -> float:
         """Median distance of neighbouring markers."""
         return float(np.median(self._near[1]))
@@ -148,19 +153,52 @@ class ContactGrouper:
         """
         gap = np.linalg.norm(self.position_mm[markers] - point_mm, axis=1)
         own = markers[int(gap.argmin())]
-        origin, spacing = self.position_mm[own], float(self._near[1][own])
-        arm = self.position_mm[self._near[0][own]] - origin
+        axes, quadric = self._quadric(own)
+        x, y = self._on_patch(own, axes, point_mm)
+        z = quadric @ np.array([x, y, x * x, x * y, y * y])
+        return np.asarray(self.position_mm[own] + np.array([x, y, z]) @ axes)
+
+    def normals(self, points_mm: FloatArray, inside_mm: FloatArray) -> FloatArray:
+        """Return outward unit normals (m, 3) of the outer face next to points (m, 3).
+
+        Parameters
+        ----------
+        points_mm : (m, 3) float
+            Points on the outer face; the nearest marker's quadric counts.
+        inside_mm : (n, 3) float
+            For each marker a point on the inner side of the wall, such as the camera.
+        """
+        out = np.empty((len(points_mm), 3))
+        for k, point in enumerate(points_mm):
+            own = int(np.linalg.norm(self.position_mm - point, axis=1).argmin())
+            axes, c = self._quadric(own)
+            x, y = self._on_patch(own, axes, point)
+            slope = (c[0] + 2.0 * c[2] * x + c[3] * y, c[1] + c[3] * x + 2.0 * c[4] * y)
+            normal = np.array([-slope[0], -slope[1], 1.0]) @ axes
+            if normal @ (self.position_mm[own] - inside_mm[own]) < 0.0:
+                normal = -normal
+            out[k] = normal / np.linalg.norm(normal)
+        return out
+
+    def _quadric(self, marker: int) -> tuple[FloatArray, FloatArray]:
+        """Axes (3, 3) at a marker, the normal last, and terms x, y, xx, xy, yy of the height."""
+        if marker in self._quadrics:
+            return self._quadrics[marker]
+        spacing = self._near[1][marker]
+        arm = self.position_mm[self._near[0][marker]] - self.position_mm[marker]
         weight = np.exp(-0.25 * np.sum((arm / (1.5 * spacing)) ** 2, axis=1))[:, None]
         # The last principal axis is the normal.
         axes = np.linalg.eigh((weight * arm).T @ (weight * arm))[1].T[::-1]
         x, y, z = axes @ arm.T
         terms = weight * np.column_stack([x, y, x * x, x * y, y * y])
-        quadric = np.linalg.lstsq(terms, weight[:, 0] * z, rcond=1e-6)[0]
-        x, y, _ = axes @ (point_mm - origin)
-        far = max(sqrt(x * x + y * y) / (2.0 * spacing), 1.0)
-        x, y = x / far, y / far
-        z = quadric @ np.array([x, y, x * x, x * y, y * y])
-        return np.asarray(origin + np.array([x, y, z]) @ axes)
+        self._quadrics[marker] = axes, np.linalg.lstsq(terms, weight[:, 0] * z, rcond=1e-6)[0]
+        return self._quadrics[marker]
+
+    def _on_patch(self, marker: int, axes: FloatArray, point_mm: FloatArray) -> tuple[float, float]:
+        """Coordinates of a point on a marker's quadric, at most two spacings from the marker."""
+        x, y, _ = axes @ (point_mm - self.position_mm[marker])
+        far = max(sqrt(x * x + y * y) / (2.0 * float(self._near[1][marker])), 1.0)
+        return x / far, y / far
 
     def find(self, forces_N: FloatArray, koi: IntArray) -> list[Contact]:
         """Return the contacts, the strongest first.

@@ -584,7 +584,7 @@ class ContactLocator:
         known = max(float(np.linalg.eigvalsh(covariance[SHEAR_START:, SHEAR_START:])[0]), 0.0)
         return {
             "shear_N": factor * force * (ratio @ axes),
-            "shear_sd_N": SHEAR_SPREAD * factor * np.sqrt(np.maximum(variance.diagonal(), 0.0)),
+            "shear_covariance_N2": (SHEAR_SPREAD * factor) ** 2 * variance,
             "shear_share": SHEAR_SPREAD * np.sqrt(known) / self.prior.shear_sd,
         }
 

@@ -107,7 +107,7 @@ class ResponseTable:
 
     def _like(self, out: "ResponseTable") -> "ResponseTable":
         # These depend on the places alone, and computing them takes a third of a second.
-        for known in ("fits", "flat"):
+        for known in ("fits", "flat", "place_normals"):
             if known in self.__dict__:
                 out.__dict__[known] = self.__dict__[known]
         if out.shear is self.shear and "shear_px" in self.__dict__:
@@ -125,9 +125,14 @@ class ResponseTable:
         return np.asarray(np.sum(self.point_mm**2, axis=1))
 
     @cached_property
+    def place_normals(self) -> FloatArray:
+        """Outward unit normals (p, 3) at the places."""
+        return np.cross(self.along, self.around)
+
+    @cached_property
     def flat(self) -> BoolArray:
         """Places (p,) on flat walls: the normals around them are parallel."""
-        normal = np.cross(self.along, self.around)
+        normal = self.place_normals
         near = self.fits[0][:, :FLATNESS_NEIGHBOURS]
         return np.asarray(
             np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1) > 1.0 - FLAT_COSINE_DROP
@@ -159,7 +164,7 @@ class ResponseTable:
         return np.concatenate(near), np.concatenate(weights).astype(np.float32)
 
     def _fit(self, own: IntArray) -> tuple[IntArray, FloatArray]:
-        normal = np.cross(self.along, self.around)
+        normal = self.place_normals
         gap = self._squares - 2.0 * (self.point_mm[own] @ self.point_mm.T)
         # On a thin sensor the far side is near: its normals point the other way.
         gap[normal[own] @ normal.T <= 0.0] = np.inf
@@ -213,9 +218,20 @@ class ResponseTable:
     def normals(self, points_mm: FloatArray) -> FloatArray:
         """Return outward unit normals (m, 3) at points (m, 3) of the outer face."""
         place, counts = self.shares(points_mm)
-        each = np.cross(self.along, self.around)[self.fits[0][place]]
+        each = self.place_normals[self.fits[0][place]]
         out = np.einsum("mq,mqi->mi", counts, each)
         return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+
+    def normal_slopes(self, points_mm: FloatArray) -> FloatArray:
+        """Return how normals turn per mm along and around, (m, 2, 3), at points (m, 3).
+
+        Those of the place nearest to each point.
+        """
+        place = self.nearest(points_mm)
+        near, weights = self.fits
+        each = self.place_normals[near[place]]
+        # The second and third rows of a cubic are its first derivatives.
+        return np.asarray(np.einsum("mtq,mqi->mti", weights[place, 1:3], each))
 
     def cubic(self, place: int) -> Any:
         """Return derivatives (10, k, 2n) float32 of the rows at a place; see :attr:`fits`."""

@@ -13,8 +13,17 @@ from phytac_shapes.errors import OutputError
 COLUMNS = (
     "sequence", "timestamp_s", "valid", "contacts", "contact", "force_N", "x_mm", "y_mm", "z_mm",
     "markers", "id", "size_mm", "since_s", "region", "sd_N", "shear_x_N", "shear_y_N", "shear_z_N",
-    "shear_sd_x_N", "shear_sd_y_N", "shear_sd_z_N",
+    "shear_sd_x_N", "shear_sd_y_N", "shear_sd_z_N", "normal_x", "normal_y", "normal_z",
+    "net_force_x_N", "net_force_y_N", "net_force_z_N",
+    "net_force_sd_x_N", "net_force_sd_y_N", "net_force_sd_z_N",
+    "net_moment_x_Nmm", "net_moment_y_Nmm", "net_moment_z_Nmm",
+    "net_moment_sd_x_Nmm", "net_moment_sd_y_Nmm", "net_moment_sd_z_Nmm",
+    "moment_about_x_mm", "moment_about_y_mm", "moment_about_z_mm",
 )  # fmt: skip
+FRAME_FIELDS = (
+    "net_force_N", "net_force_sd_N", "net_moment_Nmm", "net_moment_sd_Nmm", "moment_about_mm"
+)  # fmt: skip
+"""Vectors of a frame, which end each of its rows."""
 
 
 class _CsvWriter:
@@ -90,6 +99,7 @@ class Recorder(_CsvWriter):
         """Write a frame's rows; raises OutputError if the disk is full."""
         contacts = message["contacts"]
         head = (message["sequence"], message["timestamp_s"], int(message["valid"]), len(contacts))
+        net = [part for name in FRAME_FIELDS for part in message.get(name, [""] * 3)]
         rows = [
             (
                 *head,
@@ -104,10 +114,12 @@ class Recorder(_CsvWriter):
                 contact.get("sd_N", ""),
                 *contact.get("shear_N", [""] * 3),
                 *contact.get("shear_sd_N", [""] * 3),
+                *contact["normal"],
+                *net,
             )
             for number, contact in enumerate(contacts)
         ]
-        self._put(rows or [(*head, *[""] * (len(COLUMNS) - len(head)))])
+        self._put(rows or [(*head, *[""] * (len(COLUMNS) - len(head) - len(net)), *net)])
         self.rows += len(rows) or 1
 
 

@@ -10,9 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from phytac_decoder.estimation.contact_estimates import LocatedContact
-from phytac_decoder.estimation.contact_grouping import Contact, ContactGrouper
+from phytac_decoder.estimation.contact_grouping import Contact, ContactGrouper, Place
 from phytac_decoder.estimation.contact_tracker import ContactTracker
 from phytac_decoder.estimation.force_regions import Region, RegionForces
+from phytac_decoder.estimation.net_wrench import Wrench, wrench_of_contacts, wrench_of_forces
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.sensor_limits import id_list
 from phytac_decoder.pipeline.frame_reading import Reading, marker_loads, nearest_marker
@@ -43,23 +44,39 @@ class MessageBuilder:
         What ``timestamp_s`` counts, see :class:`phytac_decoder.io.frame.Source`.
     started_unix_s : float
         Unix time at which ``decoded_s`` is 0.
-    normals : (n, 3) float, optional
-        Outward unit normals of the surface at the markers. Those of the tables of ``auto`` if not
-        given; without either there is no net force.
     regions : sequence of Region
         See :func:`phytac_decoder.estimation.force_regions.load_regions`.
+    moment_about_mm : (x, y, z)
+        Point about which moments are taken, in the sensor's frame.
+
+    Raises
+    ------
+    InputError
+        If that point is not finite, or farther away than a kilometre.
     """
 
     force_limit_N: ClassVar[float] = 1e6
     """A larger force is an error of the computation."""
+    about_limit_mm: ClassVar[float] = 1e6
+    """Largest coordinate of the point about which moments are taken."""
 
     bundle: Bundle
     estimator: str
     source: str = ""
     clock: str = ""
     started_unix_s: float = 0.0
-    normals: FloatArray | None = None
     regions: Sequence[Region] = ()
+    moment_about_mm: Place = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        # False for NaN.
+        if not all(abs(part) <= self.about_limit_mm for part in self.moment_about_mm):
+            x, y, z = self.moment_about_mm
+            raise InputError(
+                "moment-reference-invalid",
+                f"moments cannot be taken about ({x:g}, {y:g}, {z:g}) mm; give a point in the "
+                f"sensor's frame with coordinates of at most {self.about_limit_mm:g} mm",
+            )
 
     @cached_property
     def finder(self) -> ContactGrouper:
@@ -73,12 +90,41 @@ class MessageBuilder:
         return ContactTracker(spacing_mm=self.finder.spacing_mm)
 
     @cached_property
-    def outward(self) -> FloatArray | None:
-        """Outward unit normals (n, 3) at the markers, if they are known."""
-        locator = self.bundle.model.locator
-        if self.normals is not None or locator is None:
-            return self.normals
-        return locator.places.normals(self.bundle.position_mm)
+    def outward(self) -> FloatArray:
+        """Outward unit normals (n, 3) at the markers."""
+        return self.normals(self.bundle.position_mm)
+
+    def normals(self, points_mm: FloatArray) -> FloatArray:
+        """Return outward unit normals (m, 3) at points (m, 3) of the outer face.
+
+        They are those of the tables of ``auto``; without tables, of quadrics through the markers.
+        """
+        bundle = self.bundle
+        if bundle.model.locator is not None:
+            return bundle.model.locator.places.normals(points_mm)
+        cameras = np.array([camera.position_mm for camera in bundle.cameras])
+        return self.finder.normals(points_mm, cameras[bundle.read_by])
+
+    def wrench(self, reading: Reading) -> Wrench:
+        """Return the net force and moment of a frame.
+
+        Contacts that the estimator found count at their centres, with standard deviations; other
+        estimators' forces count at the markers, without.
+        """
+        about = np.array(self.moment_about_mm)
+        if reading.found is None:
+            koi = reading.koi
+            force = -reading.forces_N[koi, None] * self.outward[koi]
+            return wrench_of_forces(force, self.bundle.position_mm[koi], about)
+        contacts, locator = reading.found.contacts, self.bundle.model.locator
+        points = np.array([one.point_mm for one in contacts]).reshape(-1, 3)
+        return wrench_of_contacts(
+            contacts,
+            self.normals(points),
+            about,
+            places=locator.places if locator else None,
+            shear_sd=locator.prior.shear_sd if locator else 0.0,
+        )
 
     @cached_property
     def region_forces(self) -> RegionForces:
@@ -91,7 +137,7 @@ class MessageBuilder:
         out: Message = {
             "type": "hello",
             "format": "phytac-stream",
-            "version": "1.5",
+            "version": "1.6",
             "design": bundle.design,
             "design_hash": bundle.design_hash,
             "estimator": self.estimator,
@@ -104,6 +150,7 @@ class MessageBuilder:
             "units": {
                 "force": "N",
                 "length": "mm",
+                "moment": "N mm",
                 "time": "s",
                 "latency": "ms",
                 "frame": "sensor",
@@ -162,6 +209,7 @@ class MessageBuilder:
         if reading.found is not None:
             sound = [one for one in reading.found.contacts if _is_sound(one)]
             reading = replace(reading, found=replace(reading.found, contacts=sound))
+        reading = replace(reading, koi=koi)
         markers, force_N = marker_loads(reading, koi, self.bundle.position_mm)
         out: Message = {
             "type": "frame",
@@ -176,17 +224,12 @@ class MessageBuilder:
             "forces_N": np.round(forces[koi], 4).tolist(),
             "warnings": warnings,
             "missed": missed,
+            **wrench_fields(self.wrench(reading), self.moment_about_mm),
         }
         if reading.code:
             out["code"] = reading.code
         if gap_s:
             out["gap_s"] = _rounded(gap_s, 3)
-        if self.outward is not None:
-            # Pressing acts along the inward normal.
-            net = -(force_N @ self.outward[markers])
-            if reading.found is not None:
-                net += sum(one.shear_N for one in reading.found.contacts if one.shear_observed)
-            out["net_force_N"] = [_rounded(part, 4) for part in net]
         if self.regions:
             sums = self.region_forces.of(markers, force_N)
             out["regions"] = [
@@ -207,13 +250,18 @@ class MessageBuilder:
             strongest = sorted(reading.found.contacts, key=lambda one: -one.force_N)
             contacts = [_as_found(one) for one in strongest]
         found = self.tracker.update(contacts, time_s)
-        return [self._contact(contact, reading.forces_N) for contact in found]
+        points = np.array([contact.position_mm for contact in found]).reshape(-1, 3)
+        return [
+            self._contact(contact, normal, reading.forces_N)
+            for contact, normal in zip(found, self.normals(points), strict=True)
+        ]
 
-    def _contact(self, contact: Contact, forces_N: FloatArray) -> Message:
+    def _contact(self, contact: Contact, normal: FloatArray, forces_N: FloatArray) -> Message:
         out: Message = {
             "markers": list(contact.markers),
             "force_N": _rounded(contact.force_N, 4),
             "position_mm": [_rounded(part, 3) for part in contact.position_mm],
+            "normal": [_rounded(part, 5) for part in normal],
             "id": contact.id,
             "size_mm": _rounded(contact.size_mm, 2),
             "since_s": _rounded(contact.since_s, 6),
@@ -252,6 +300,20 @@ def _as_found(located: LocatedContact) -> Contact:
         shear_N=tuple(located.shear_N.tolist()) if seen else None,
         shear_sd_N=tuple(located.shear_sd_N.tolist()) if seen else None,
     )
+
+
+def wrench_fields(wrench: Wrench, about_mm: Sequence[float]) -> Message:
+    """Fields of a message: net force and moment, and the point about which it is taken."""
+    out: Message = {
+        "net_force_N": [_rounded(part, 4) for part in wrench.force_N],
+        "net_moment_Nmm": [_rounded(part, 3) for part in wrench.moment_Nmm],
+        "moment_about_mm": [_rounded(part, 3) for part in about_mm],
+    }
+    force_sd, moment_sd = wrench.force_sd_N, wrench.moment_sd_Nmm
+    if force_sd is not None and moment_sd is not None:
+        out["net_force_sd_N"] = [_rounded(part, 4) for part in force_sd]
+        out["net_moment_sd_Nmm"] = [_rounded(part, 3) for part in moment_sd]
+    return out
 
 
 def end_message(reason: str, code: str = "") -> Message:
