@@ -22,6 +22,7 @@ from phytac_design.cli import (
     check_command,
     compare_command,
     decode_command,
+    export_command,
     import_command,
     live_command,
     mechanics_commands,
@@ -98,6 +99,7 @@ PANELS: dict[str, tuple[Callable[..., None], ...]] = {
         mechanics_commands.press,
         mechanics_commands.mesh,
         switch_command.switch,
+        export_command.export,
         train_command.export_onnx,
     ),
     "Decode": (

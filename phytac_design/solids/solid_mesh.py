@@ -158,6 +158,13 @@ def united(solids: "list[Any]") -> Any:
     return manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
 
 
+def hull(points_mm: FloatArray) -> Any:
+    """Convex hull of points (n, 3) as a ``manifold3d.Manifold``."""
+    import manifold3d
+
+    return manifold3d.Manifold.hull_points(np.ascontiguousarray(points_mm, dtype=np.float64))
+
+
 def box(low_mm: FloatArray, high_mm: FloatArray) -> Any:
     """Box between two corners (3,) as a ``manifold3d.Manifold``."""
     import manifold3d

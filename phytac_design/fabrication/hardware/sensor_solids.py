@@ -55,13 +55,15 @@ def switch_frames(
     return origin + lift[:, None] * axis, frames_along(axis)
 
 
-def switch_mesh(surface: Surface, markers: Markers, switches: SwitchSet) -> TriangleMesh:
+def switch_mesh(
+    surface: Surface, markers: Markers, switches: SwitchSet, *, tolerance_mm: float = SWITCH_mm
+) -> TriangleMesh:
     """All switches in their receptors as one mesh of separate components."""
     origin, turn = switch_frames(surface, markers, switches)
     meshes = []
     for kind in switches.kinds:
         own = switches.markers_of(kind)
-        mesh = revolve(switches.profile(kind, SWITCH_mm), SWITCH_mm)
+        mesh = revolve(switches.profile(kind, tolerance_mm), tolerance_mm)
         meshes.append(copies(mesh, origin[own], turn[own]))
     return merged(meshes)
 
