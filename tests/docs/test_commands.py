@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 from phytac_design.cli.app import app
 from phytac_design.design.design_file import to_toml
 from phytac_design.stages.build import BuildResult
+from phytac_design.workflows.export_simulator import export_simulator
+from tests.coarse_switches import coarse_bowls
 from tests.designs import small
 from tests.docs.pages import PAGES, Command, commands, inline
 from tests.docs.parser import OWN_SHAPES, fault, inline_fault
@@ -20,7 +22,7 @@ from tests.docs.parser import OWN_SHAPES, fault, inline_fault
 ALL = commands(PAGES)
 RUN = {
     "check", "new", "shapes", "press", "mesh", "decode", "scenarios", "plan", "cache",
-    "sweep", "optimise",
+    "sweep", "optimise", "export",
 }  # fmt: skip
 """Commands that run here if the fixture ``shop`` has their files; all others are parsed only."""
 PARSED = {
@@ -57,6 +59,8 @@ def shop(tmp_path_factory: pytest.TempPathFactory, built: BuildResult) -> Path:
     views = built.out / "views"
     shutil.copyfile(views / "frame_pressed.png", folder / "frame.png")
     shutil.copyfile(views / "frame_rest.png", folder / "rest.png")
+    with coarse_bowls():  # `export` finds them in the cache
+        export_simulator(small(name="mine"), folder / "first", to="sdf", progress=lambda _: None)
     (folder / "frames").mkdir()
     for number, name in enumerate(["rest"] * 5 + ["pressed"]):
         shutil.copyfile(views / f"frame_{name}.png", folder / "frames" / f"{number}.png")

@@ -6,7 +6,7 @@ it fills its part of the hull.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -76,15 +76,15 @@ class Block:
         """Both ways to cut the block in two, where it has more than one row or column."""
         for axis in (0, 1):
             middle = self.outer.shape[axis] // 2
-            if middle == 0 or self.outer.shape[axis] < 3:
+            if self.outer.shape[axis] < 3:
                 continue
             low, high = slice(None, middle + 1), slice(middle, None)
-            cut = [(low, slice(None)), (high, slice(None))]
-            first, second = cut if axis == 0 else [pair[::-1] for pair in cut]
-            yield tuple(
-                replace(self, outer=self.outer[part], inner=self.inner[part])
-                for part in (first, second)
-            )
+            yield self._part(axis, low), self._part(axis, high)
+
+    def _part(self, axis: int, kept: slice) -> "Block":
+        """Some rows (axis 0) or columns (1) of the block."""
+        part = (kept, slice(None)) if axis == 0 else (slice(None), kept)
+        return Block(outer=self.outer[part], inner=self.inner[part])
 
 
 def convex_pieces(sensor: Sensor, settings: PieceSettings = SETTINGS) -> list[TriangleMesh]:

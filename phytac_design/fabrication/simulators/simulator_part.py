@@ -97,7 +97,7 @@ def make_part(sensor: Sensor, switches: SwitchSet | None) -> SimulatorPart:
     design, markers = sensor.design, sensor.markers
     shift = np.array([0.0, 0.0, -base_z_mm(sensor)])
     bodies = painted_manifolds(sensor, tolerance_mm=shell_mm)
-    shown = {
+    shown: dict[str, tuple[TriangleMesh, tuple[int, ...]]] = {
         name: (to_triangles(body).moved(shift), DISPLAY_COLOURS.get(name, DISPLAY_COLOURS["resin"]))
         for name, body in bodies.items()
     }
@@ -170,8 +170,8 @@ def _cell_radius_mm(sensor: Sensor) -> FloatArray:
     step_mm = 1.0  # distance of the points that are assigned to their nearest marker
     surface = sensor.surface
     u, v = (
-        np.linspace(*limits, divisions(surface, 0.0, axis, np.inf, step_mm) + 1)
-        for axis, limits in enumerate(surface.domain)
+        np.linspace(low, high, divisions(surface, 0.0, axis, np.inf, step_mm) + 1)
+        for axis, (low, high) in enumerate(surface.domain)
     )
     points = surface.point(np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2))
     distance, nearest = cKDTree(surface.point(sensor.markers.uv)).query(points)
