@@ -12,10 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from phytac_design.fabrication.simulators.convex_pieces import convex_pieces
 from phytac_design.fabrication.simulators.model_files import FORMATS
-from phytac_design.fabrication.simulators.simulator_part import base_z_mm, make_part
+from phytac_design.fabrication.simulators.simulator_part import (
+    base_z_mm,
+    make_part,
+    mass_properties,
+)
 from phytac_design.fabrication.simulators.xml_values import roll_pitch_yaw
 from phytac_design.layout.sensor import Sensor
-from phytac_design.solids.solid_mesh import hull, shell_manifold, to_manifold
+from phytac_design.solids.solid_mesh import box, hull, shell_manifold, to_manifold, to_triangles
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_design.workflows import export_simulator as workflow
 from phytac_design.workflows.export_simulator import export_simulator
@@ -105,8 +109,6 @@ def second_moments(mesh: Any, density: float) -> tuple[float, np.ndarray, np.nda
 
 @pytest.mark.parametrize("name", ["hemisphere", "plane"])
 def test_mass_and_inertia_are_those_of_the_printed_shell(name: str) -> None:
-    from phytac_design.solids.solid_mesh import to_triangles
-
     sensor = Sensor(shipped(name))
     found = make_part(sensor, None).mass
     shell = to_triangles(shell_manifold(sensor))
@@ -120,6 +122,21 @@ def test_mass_and_inertia_are_those_of_the_printed_shell(name: str) -> None:
     size = np.abs(inertia).max()
     assert found.inertia_kg_m2 == pytest.approx(inertia, abs=0.01 * size)
     assert np.diag(found.inertia_kg_m2) == pytest.approx(np.diag(inertia), rel=0.01)
+
+
+def test_mass_properties_of_two_boxes() -> None:
+    low = np.array([-10.0, -20.0, -5.0])
+    first = to_triangles(box(low, -low))
+    second = first.moved(np.array([0.0, 0.0, 80.0]))
+    found = mass_properties([(first, 1000.0), (second, 3000.0)])
+    mass, (a, b, c) = 8e-3, (0.02, 0.04, 0.01)
+    assert found.mass_kg == pytest.approx(4.0 * mass)
+    assert found.centre_m == pytest.approx([0.0, 0.0, 0.06], abs=1e-12)
+    arms = mass * 0.06**2 + 3.0 * mass * 0.02**2
+    own = 4.0 * mass / 12.0 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
+    assert found.inertia_kg_m2 == pytest.approx(
+        np.diag(own + np.array([arms, arms, 0.0])), abs=1e-15
+    )
 
 
 def test_angles_give_the_rotation_back() -> None:
