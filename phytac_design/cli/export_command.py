@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from phytac_design.cli.options import DesignArgument, JsonOption, say
+from phytac_design.cli.options import DesignArgument, JsonOption, check_out, say
 from phytac_design.cli.output import next_step, print_json
 
 SimulatorFormat = Literal["mjcf", "urdf", "sdf"]
@@ -21,7 +21,10 @@ def export(
     design: DesignArgument,
     to: Annotated[SimulatorFormat, typer.Option(help="MuJoCo, ROS or Gazebo.")],
     out: Annotated[
-        Path | None, typer.Option(help="The export's own folder; exports/NAME-TO if not given.")
+        Path | None,
+        typer.Option(
+            callback=check_out, help="The export's own folder; exports/NAME-TO if not given."
+        ),
     ] = None,
     receptors: Annotated[
         bool | None,

@@ -30,8 +30,14 @@ def studio(
     from phytac_design.studio.server import StudioServer
 
     server = StudioServer(Path.cwd(), design, port=port)
+    ended_by: list[int] = []
+
+    def end(number: int, _frame: object) -> None:
+        ended_by.append(number)
+        raise KeyboardInterrupt
+
     # The server raises a signal again after its end: nothing would be cleaned up by default.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, end)
     try:
         with ExitStack() as stack:
 
@@ -43,4 +49,7 @@ def studio(
             server.run(ready=ready)
     except KeyboardInterrupt:
         say("stopped")
+        for number in ended_by:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
         raise typer.Exit(130) from None

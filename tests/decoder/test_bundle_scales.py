@@ -45,7 +45,7 @@ def test_what_is_no_scale_is_rejected(
     ("where", "text", "code"),
     [
         ("markers", "1e400", "bundle-unreadable"),
-        ("markers", "1" * 400, "bundle-unreadable"),
+        ("markers", "1" * 400, "bundle-invalid"),
         ("markers", "1e30", "bundle-invalid"),
         ("focal_px", "1e400", "bundle-unreadable"),
         ("focal_px", "1e308", "bundle-camera-range"),

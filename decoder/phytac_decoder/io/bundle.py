@@ -41,7 +41,6 @@ from phytac_decoder.io.bundle_check import (
     number,
     numbers,
     reject_constant,
-    short_int,
 )
 from phytac_decoder.io.bundle_locator import locator_arrays, locator_from, locator_table
 from phytac_decoder.io.sensor_limits import (
@@ -399,7 +398,6 @@ def _read_meta(folder: Path) -> dict[str, Any]:
             read_text(path, bytes_max=1 << 26),
             parse_constant=reject_constant,
             parse_float=finite_float,
-            parse_int=short_int,
         )
     except OSError as error:
         raise InputError(

@@ -215,13 +215,6 @@ def finite_float(text: str) -> float:
     return value
 
 
-def short_int(text: str) -> int:
-    """Return an integer of a JSON text; raise ``ValueError`` if it exceeds 20 digits."""
-    if len(text) > 20:
-        raise ValueError(f"{text[:20]}… has {len(text)} digits, more than an integer's 20")
-    return int(text)
-
-
 def numbers(values: Any, count: int, *, positive: bool = False) -> FloatArray:
     """Return ``count`` finite numbers, (count,).
 
