@@ -414,6 +414,22 @@ def test_tips_that_show_at_rest_show_the_light_on_red() -> None:
     assert follower.follow(one).koi.tolist() == [60]
 
 
+def test_tips_that_are_off_and_show_more_red_than_at_rest_are_named() -> None:
+    plain, every = make_bundle(), np.ones(COUNT, dtype=np.bool_)
+    areas = {"red_rest_px": np.full(COUNT, 30.0), "red_on_px": np.full(COUNT, 90.0)}
+    bundle = replace(plain, tips=replace(plain.tips, **areas))
+    rest = draw(REST, every, tip_radius=np.sqrt(30.0 / np.pi))
+    lit, larger = rest.copy(), draw(REST, every, tip_radius=np.sqrt(48.0 / np.pi))
+    for tip in (40, 60, 61):
+        x, y = (REST[tip] + TIP_OFF).astype(int)
+        lit[y - 7 : y + 8, x - 7 : x + 8] = larger[y - 7 : y + 8, x - 7 : x + 8]
+    follower = Follower(bundle, rest)
+    for image, named in ((rest, []), (lit, [40, 60, 61])):
+        for seen in (follower.follow(image), measure_frame(bundle, image)):
+            assert seen.koi.tolist() == []
+            assert seen.half_out.tolist() == named
+
+
 def test_every_other_pixel_is_nearly_as_good() -> None:
     places = press_and_slide(15, np.array([4.0, 3.0]))
     whole, some = (Follower(make_bundle(), draw(REST), stride=stride) for stride in (1, 2))

@@ -210,6 +210,14 @@ def test_frames_warn_of_what_is_missing() -> None:
     assert warned(pressed(bundle, {4: 9.0, 8: 0.2}, [4])) == []
 
 
+def test_frames_warn_of_red_that_no_switch_shows() -> None:
+    bundle = sound()
+    for tips, warned in ((2, False), (3, True)):
+        measured = replace(pressed(bundle, {4: 9.0}, [4]), half_out=np.arange(tips))
+        texts = measured.warnings(bundle, measured.forces_N(bundle, "koi_inverse"))
+        assert any("more red than at rest" in text for text in texts) == warned
+
+
 def test_frames_warn_of_estimators_that_cannot_be_used() -> None:
     bundle = weakened(sound(), 3)
     measured = pressed(bundle, {3: 9.0}, [3])
