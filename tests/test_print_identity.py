@@ -137,6 +137,24 @@ def test_another_print_is_read_as_an_unknown_one(plain: Bundle) -> None:
     assert for_this_print(now) is now
 
 
+def test_without_tables_measured_columns_are_dropped_as_well(plain: Bundle) -> None:
+    bundle = trained(plain, stiffness=1.2)
+    bundle = replace(bundle, model=replace(bundle.model, locator=None))
+    now = for_this_print(replace(bundle, rest_px=rest_of(plain, 2)))
+    assert now.model.measured is None
+    assert now.other_print_mm > SETTINGS.same_mm
+    assert for_this_print(replace(bundle, rest_px=rest_of(plain, 1))).model.measured is not None
+
+
+def test_a_print_that_cannot_be_recognised_is_a_limit(plain: Bundle) -> None:
+    known = trained(plain, stiffness=1.2)
+    for bundle, warned in (
+        (known, False),
+        (replace(known, learnt_rest_px=known.learnt_rest_px[:0]), True),
+    ):
+        assert any("another print is not noticed" in text for text in bundle.limits()) == warned
+
+
 def test_a_rest_frame_shows_it(built: BuildResult, tmp_path: Path) -> None:
     bundle = load_bundle(built.out / "decoder")
     rest = cv2.imread(str(built.out / "views" / "frame_rest.png"))

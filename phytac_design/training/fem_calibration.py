@@ -60,7 +60,7 @@ class CalibratedMechanics:
     columns : int
         Columns of the compliance that were measured.
     error_N : float
-        Mean absolute error of the forces on key nodes.
+        Mean absolute error of the forces on key nodes, before columns are measured.
     """
 
     model: ForceModel

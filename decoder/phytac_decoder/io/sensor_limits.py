@@ -105,6 +105,11 @@ def limits_of(bundle: "Bundle") -> list[str]:
             f"intervals allow for {100.0 * SETTINGS.stiffness_sd:.0f} %; train with data of this "
             "print"
         )
+    if bundle.model.measured is not None and not len(bundle.learnt_rest_px):
+        out.append(
+            "this decoder measured the response of its print, and its data do not say where that "
+            "print's markers are at rest: another print is not noticed; use it on that print alone"
+        )
     played = markers_in_play(bundle)
     if not played.all():
         out.append(

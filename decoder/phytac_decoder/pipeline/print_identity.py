@@ -83,7 +83,8 @@ def for_this_print(bundle: Bundle) -> Bundle:
     """
     gap_mm = print_gap_mm(bundle, bundle.rest_px)
     locator = bundle.model.locator
-    if gap_mm is None or gap_mm <= SETTINGS.same_mm or bundle.other_print_mm or locator is None:
+    if gap_mm is None or gap_mm <= SETTINGS.same_mm or bundle.other_print_mm:
         return bundle
-    model = replace(bundle.model, locator=locator.for_another_print(), measured=None)
+    unlearnt = locator and locator.for_another_print()
+    model = replace(bundle.model, locator=unlearnt, measured=None)
     return replace(bundle, model=model, other_print_mm=gap_mm)
