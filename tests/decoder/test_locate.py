@@ -12,7 +12,7 @@ from phytac_decoder.estimation.contact_estimates import LocatedContact
 from phytac_decoder.estimation.contact_fit import SETTINGS as FIT_SETTINGS
 from phytac_decoder.estimation.contact_fit import ShiftObservation, robust_cost
 from phytac_decoder.estimation.force_correction import ForceCorrection
-from phytac_decoder.estimation.locator import SETTINGS
+from phytac_decoder.estimation.locator import SETTINGS, SwitchForces
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_shapes.arrays import FloatArray
@@ -176,7 +176,8 @@ def test_a_fit_leaves_what_it_starts_from() -> None:
     seen = ShiftObservation(
         shift_px=shifts(at, 9.0), found=np.ones(2 * COUNT, dtype=np.bool_), koi=koi
     )
-    begun = [LOCATOR._start(koi, np.array([1.0]), np.array([0]))]
+    force = SwitchForces(np.array([1.0]), np.array([0.1]))
+    begun = [LOCATOR._start(koi, force, np.array([0]))]
     before = begun[0].x.copy()
     assert LOCATOR._fit(begun, seen).states[0].x[0] == pytest.approx(9.0, rel=0.01)
     assert begun[0].x.tolist() == before.tolist()

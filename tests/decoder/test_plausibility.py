@@ -87,3 +87,11 @@ def test_noise_above_the_expected_one_is_named_where_forces_are_doubtful() -> No
     assert noisy_rims(detection(9.0, sd_N=0.1, chi2=4.0)) == []
     assert noisy_rims(detection(9.0, sd_N=2.0, chi2=1.5)) == []
     assert noisy_rims(None) == []
+
+
+def test_errors_beyond_a_frame_s_own_noise_are_named_whatever_noise_a_camera_may_have() -> None:
+    for chi2, named in ((2.5, False), (3.5, True)):
+        noisy = detection(9.0, sd_N=2.0, chi2=chi2)
+        assert bool(noisy_rims(noisy, chi2_allowed=5.0)) == named
+        # More noise in all markers is no such error.
+        assert not noisy_rims(replace(noisy, reduced_chi2=1.0, noise_scale=2.0), chi2_allowed=5.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection
-from phytac_decoder.estimation.contact_fit import PredictedNoise, ShiftObservation, initial_state
+from phytac_decoder.estimation.contact_fit import PredictedNoise
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_decoder.pipeline.decode import corrected_shift, noisy_rims
@@ -87,34 +87,10 @@ def test_switches_out_of_reach_are_another_contact_however_faint() -> None:
     assert faint.point_mm == pytest.approx(places[1], abs=PITCH_MM)
 
 
-def test_beyond_the_last_place_the_surface_has_ended() -> None:
-    locator = flat_locator()
-    for at, wanted in (((-1.0, 30.0), True), ((0.2, 30.0), False), ((31.0, 31.0), False)):
-        state = initial_state(locator.places, locator.prior, point(*at), 5.0)
-        assert locator._beyond_rim(state) is wanted
-
-
-def test_a_contact_far_from_its_switch_is_uncertain_as_far_as_its_place_is() -> None:
-    at = point(1.0, 30.0)
-    seen = shifts(at, 5.0).reshape(-1, 2)
+def test_a_contact_far_from_its_switch_is_sure_where_its_place_is() -> None:
+    seen = shifts(point(1.0, 30.0), 5.0).reshape(-1, 2)
     (sure,) = predicting().find(seen, np.array([nearest(point(9.0, 30.0))])).contacts
     assert sure.raw_sd_N < 0.3
-    state = initial_state(flat_locator().places, flat_locator().prior, point(-1.5, 30.0), 5.0)
-    state.start_mm = point(4.0, 30.0)
-    fit = replace(flat_locator()._fit([state], _nothing_seen()), states=[state])
-    wide = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    wide[0, 1] = wide[1, 0] = -0.5
-    (change,) = flat_locator()._force_by_place(replace(fit, covariance=wide))
-    # 5.5 mm along by 0.5 N/mm, less what lies within the prior's 1.5 mm.
-    assert change == pytest.approx(0.5 * 5.5 * (1.0 - (1.5 / 5.5) ** 2))
-
-
-def _nothing_seen() -> ShiftObservation:
-    return ShiftObservation(
-        shift_px=np.zeros(2 * COUNT),
-        found=np.ones(2 * COUNT, dtype=np.bool_),
-        koi=np.zeros(0, dtype=np.int64),
-    )
 
 
 def test_bundles_keep_predicted_noise_and_covers(tmp_path: Path) -> None:

@@ -50,6 +50,8 @@ class FitSettings:
     """Factor on predicted noise: errors of neighbouring markers are alike, so that together they
     are worth less. Forces at known places in rendered frames of ``handle`` and ``hemisphere``
     scatter by 1.1 to 1.6 times what independent noise gives."""
+    held_mm: float = 1e-4
+    """Standard deviation of a centre that is held."""
     grid_px: float = 0.1
     """Shift of a marker at which half of the error by the grid of pixels has come: measured in
     rendered frames of ``handle`` and ``hemisphere``, whose pixels differ fourfold."""
@@ -226,6 +228,8 @@ class ContactFit:
         Robust sum of squared residuals and of deviations from the prior.
     reduced_chi2 : float
         The first part per degree of freedom: 1 where noise is as expected.
+    residual_cost : float
+        The first part.
     motion, motion_sd : (q,) float
         Motion of the cameras since the rest frame, and its standard deviations; part of the
         predicted shifts. See :class:`phytac_decoder.camera.camera_motion.CameraMotion`.
@@ -237,6 +241,7 @@ class ContactFit:
     covariance: FloatArray
     cost: float
     reduced_chi2: float
+    residual_cost: float
     motion: FloatArray = field(default_factory=lambda: np.zeros(0))
     motion_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -282,6 +287,7 @@ def fit_contacts(
     motion: FloatArray | None = None,
     unweighted: int = SETTINGS.unweighted_iterations,
     iterations: int = SETTINGS.iterations_max,
+    held: tuple[int, FloatArray] | None = None,
 ) -> ContactFit:
     """Move contacts, of which there may be none, to where they are most likely; changes ``states``.
 
@@ -292,6 +298,8 @@ def fit_contacts(
     ----------
     motion : (q,) float, optional
         First estimate of the motion of the cameras, which is estimated with the contacts.
+    held : (int, (3,) float), optional
+        Contact whose centre stays where it is along a direction.
     """
     camera_motion = seen.camera_motion
     b = np.zeros(camera_motion.count if camera_motion else 0) if motion is None else motion.copy()
@@ -325,6 +333,8 @@ def fit_contacts(
             settled = change < SETTINGS.step_tolerance and (robust or bool((share == 1.0).all()))
             robust = True
         hessian = (slope * inverse) @ slope.T + weight
+        if held:
+            hessian[:split, :split] += _hold(places, states, *held)
         # Ends where everything that is returned has been computed.
         if settled or number == iterations or not len(weight):
             break
@@ -338,10 +348,30 @@ def fit_contacts(
         inverse=inverse,
         covariance=covariance[:split, :split],
         cost=square + float(off @ (weight @ off)),
+        residual_cost=square,
         reduced_chi2=noise.alike**2 * square / max(int(seen.found.sum()) - split, 1),
         motion=b,
         motion_sd=np.sqrt(covariance.diagonal()[split:]),
     )
+
+
+def _may_be_far() -> tuple[tuple[slice, float], ...]:
+    """Return unknowns that may be far off the prior, and the standard deviations from which."""
+    return (
+        (slice(1, 3), SETTINGS.place_sds),
+        (slice(3, SHEAR_START), SETTINGS.moments_sds),
+    )
+
+
+def _hold(
+    places: ResponseTable, states: Sequence[ContactState], contact: int, direction: FloatArray
+) -> FloatArray:
+    """Return the weight (8c, 8c) that keeps a contact's centre from moving along a direction."""
+    row = np.zeros(UNKNOWNS * len(states))
+    row[UNKNOWNS * contact + 1 : UNKNOWNS * contact + 3] = (
+        places.axes[states[contact].place] @ direction / SETTINGS.held_mm
+    )
+    return np.outer(row, row)
 
 
 def _prior_sd(states: Sequence[ContactState], prior: ContactPrior) -> FloatArray:
@@ -373,13 +403,26 @@ def _prior_weight(
     weight = _prior_sd(states, prior).reshape(-1, UNKNOWNS) ** -2.0
     square = off.reshape(weight.shape) ** 2 * weight
     switched = np.reshape([float(len(state.markers) > 0) for state in states], (-1, 1))
-    for own, sds in (
-        (slice(1, 3), SETTINGS.place_sds),
-        (slice(3, SHEAR_START), SETTINGS.moments_sds),
-    ):
+    for own, sds in _may_be_far():
         far = square[:, own].sum(axis=1, keepdims=True) / sds**2
         weight[:, own] /= 1.0 + switched * np.minimum(far, SETTINGS.prior_growth_max)
     return np.asarray(weight.ravel())
+
+
+def prior_cost(places: ResponseTable, states: Sequence[ContactState], prior: ContactPrior) -> float:
+    """Return the robust sum of squared deviations of contacts from their priors.
+
+    Its derivative is that with the weights of a fit.
+    """
+    off = prior_residual(places, states, prior).reshape(-1, UNKNOWNS)
+    square = (off / _prior_sd(states, prior)) ** 2
+    out = float(square[:, 0].sum() + square[:, SHEAR_START:].sum())
+    for own, sds in _may_be_far():
+        for total, state in zip(square[:, own].sum(axis=1).tolist(), states, strict=True):
+            near = min(total / sds**2, SETTINGS.prior_growth_max) if len(state.markers) else 0.0
+            beyond = total - near * sds**2
+            out += sds**2 * float(np.log1p(near)) + beyond / (1.0 + near)
+    return out
 
 
 def robust_cost(residual_px: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:

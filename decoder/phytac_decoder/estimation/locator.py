@@ -10,8 +10,8 @@ markers decides alone.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +27,15 @@ from phytac_decoder.estimation.contact_fit import (
     contact_signal_px,
     fit_contacts,
     initial_state,
-    prior_residual,
 )
 from phytac_decoder.estimation.contact_grouping import assign_to_contacts, group_key_nodes
 from phytac_decoder.estimation.contact_shifts import SHEAR_START, UNKNOWNS, ContactState, centre_of
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.friction_prior import SHEAR_SPREAD, average_over_friction
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
+from phytac_decoder.estimation.place_average import PlaceAverage
 from phytac_decoder.mechanics.response_table import ResponseTable
-from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.discs import disc_overlap_share
 
 
@@ -59,6 +59,10 @@ class LocatorSettings:
     contact all of whose switches are unreadable: they seem on in another light."""
     threshold_excess_max: float = 2.0
     """Largest force on a switch that is off, over its threshold: prints scatter."""
+    threshold_spread: float = 0.35
+    """Standard deviation of the logarithm of thresholds: half of the above."""
+    misread_share: float = 0.01
+    """Share of switches that are read wrongly, at least."""
     reach_radii: float = 1.5
     """Extent of a contact beyond its centre, in radii of the tables' disc."""
     start_force_N: float = 0.3
@@ -76,8 +80,6 @@ class LocatorSettings:
     """Warm-started frames between searches for unswitched contacts."""
     reinitialise_after_frames: tuple[int, int] = (480, 16)
     """Frames after which contacts are searched for again, without and with an unswitched one."""
-    rim_share: float = 0.2
-    """Distance of a contact from the last place, in spacings, from which it is beyond the rim."""
     extent_share: float = 0.006
     """Error of the force of a contact that is wider than the tables' disc, for each time that its
     largest second moment exceeds that of the disc: its pressure has a shape, which the moments do
@@ -88,6 +90,13 @@ class LocatorSettings:
 
 
 SETTINGS = LocatorSettings()
+
+
+class SwitchForces(NamedTuple):
+    """Forces (m,) N on switches, and their standard deviations if each may be any force."""
+
+    force_N: FloatArray
+    sd_N: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +202,7 @@ class ContactLocator:
         state = self._warm_start(last, seen) if last else None
         if state is None:
             state = self._search(seen)
-        return replace(self._report(state, koi), state=state, noise_scale=state.noise_scale)
+        return replace(self._report(state, seen), state=state, noise_scale=state.noise_scale)
 
     def _search(self, seen: ShiftObservation) -> FitState:
         """Search for the contacts of one frame alone."""
@@ -258,24 +267,31 @@ class ContactLocator:
         force = self._switch_forces(seen)
         out = []
         for state, own in zip(states, rows, strict=True):
-            point = self._centroid(seen.koi, force, own)[0] if len(own) else state.start_mm
-            out.append(replace(state, start_mm=point, markers=seen.koi[own]))
+            point, sd_mm = state.start_mm, state.place_sd_mm
+            if len(own):
+                point, sd_mm = self._centroid(seen.koi, force, own)
+            out.append(replace(state, start_mm=point, place_sd_mm=sd_mm, markers=seen.koi[own]))
         return out
 
     def _fit_switched(self, seen: ShiftObservation) -> ContactFit:
         """Fit the contacts whose switches are on."""
         force = self._switch_forces(seen)
-        starts = [self._start(seen.koi, force, rows) for rows in self._split(seen.koi, force)]
+        groups = [np.array(group) for group in group_key_nodes(seen.koi, self.neighbours)]
+        starts = [self._start(seen.koi, force, rows) for rows in groups]
         best = self._fit(starts, seen)
         apart = self._out_of_reach(best, seen.koi)
         # Noise that is not known may be far too large: then χ² is no criterion.
-        if self.noise.known and best.reduced_chi2 < SETTINGS.chi2_unexplained and not apart:
+        if self.noise.known and best.reduced_chi2 < SETTINGS.chi2_unexplained and not apart.any():
             return best
-        parts = self._split(seen.koi, force, reach_mm=self._reach_mm)
-        if len(parts) > len(starts):
-            separate = [self._start(seen.koi, force, rows) for rows in parts]
+        for group in groups:
+            parts = self._parts(seen.koi, force, group)
+            if len(parts) == 1:
+                continue
+            own = seen.koi[group]
+            others = [start for start in starts if not np.isin(start.markers, own).any()]
+            separate = [*others, *(self._start(seen.koi, force, rows) for rows in parts)]
             more = self._fit(separate, seen)
-            drop = 0.0 if apart else SETTINGS.chi2_drop * (len(separate) - len(starts))
+            drop = 0.0 if apart[group].any() else SETTINGS.chi2_drop * (len(parts) - 1)
             if best.cost - more.cost >= drop * max(more.reduced_chi2, 1.0):
                 best, starts = more, separate
         for start in self._unreadable_starts(seen):
@@ -285,12 +301,12 @@ class ContactLocator:
                 best, starts = more, [*starts, start]
         return best
 
-    def _out_of_reach(self, fit: ContactFit, koi: IntArray) -> bool:
-        """Return whether a switch that is on is out of reach of every contact."""
+    def _out_of_reach(self, fit: ContactFit, koi: IntArray) -> BoolArray:
+        """Return which switches (m,) that are on are out of reach of every contact."""
         points = np.stack([centre_of(self.places, state) for state in fit.states])
         gap = np.linalg.norm(points[:, None] - self.position_mm[koi][None], axis=2)
         reach = np.maximum(self._radii(fit.states) + self.footprint_mm, self._reach_mm)
-        return bool((gap > reach[:, None]).all(axis=0).any())
+        return np.asarray((gap > reach[:, None]).all(axis=0))
 
     def _unreadable_starts(self, seen: ShiftObservation) -> list[ContactState]:
         """Return contacts on unreadable switches that the motion shows as pressed."""
@@ -298,8 +314,8 @@ class ContactLocator:
             return []
         both = np.union1d(seen.koi, self.blind)
         force = self._switch_forces(replace(seen, koi=both))
-        pressed = ~np.isin(both, seen.koi) & (force >= self.threshold_N[both])
-        parts = self._parts(both, force, np.flatnonzero(pressed), self._reach_mm)
+        pressed = ~np.isin(both, seen.koi) & (force.force_N >= self.threshold_N[both])
+        parts = self._parts(both, force, np.flatnonzero(pressed))
         return [replace(self._start(both, force, rows), markers=seen.koi[:0]) for rows in parts]
 
     def _add_unswitched(self, best: ContactFit, seen: ShiftObservation) -> ContactFit:
@@ -353,48 +369,49 @@ class ContactLocator:
         """Switches farther from a contact's most loaded one may belong to another contact."""
         return SETTINGS.reach_radii * self.places.radius_mm + self.footprint_mm
 
-    def _switch_forces(self, seen: ShiftObservation) -> FloatArray:
-        """Return the force (m,) N on each switch that is on, by the compliance inverse."""
+    def _switch_forces(self, seen: ShiftObservation) -> SwitchForces:
+        """Return the force on each switch that is on, by the compliance inverse."""
         rows = self._rows[seen.koi] * seen.found
         free = rows
         if seen.camera_motion:
             motion = seen.camera_motion.masked(seen.found)
             free = motion.free_of_motion(rows, self.noise.median_px)
-        return nonnegative_least_squares(free @ rows.T, free @ seen.shift_px)
+        gram = free @ rows.T
+        force = nonnegative_least_squares(gram, free @ seen.shift_px)
+        # Beside a rim noise alone decides which of two switches seems to carry a force.
+        weight = np.eye(len(gram)) / self.prior.force_N**2
+        weight += gram / (self.noise.median_px * seen.noise_scale) ** 2
+        return SwitchForces(force, np.sqrt(np.linalg.inv(weight).diagonal()))
 
-    def _split(
-        self, koi: IntArray, force_N: FloatArray, *, reach_mm: float = np.inf
-    ) -> list[IntArray]:
-        """Return rows of each group of neighbouring switches, and of each part within reach."""
-        return [
-            rows
-            for group in group_key_nodes(koi, self.neighbours)
-            for rows in self._parts(koi, force_N, np.array(group), reach_mm)
-        ]
-
-    def _start(self, koi: IntArray, force_N: FloatArray, rows: IntArray) -> ContactState:
+    def _start(self, koi: IntArray, force: SwitchForces, rows: IntArray) -> ContactState:
         """Return a contact on switches ``koi[rows]``, by the forces on all."""
-        point, total = self._centroid(koi, force_N, rows)
-        force = max(total, SETTINGS.start_force_N)
-        return initial_state(self.places, self.prior, point, force, markers=koi[rows])
+        point, sd_mm = self._centroid(koi, force, rows)
+        total = max(float(force.force_N[rows].sum()), SETTINGS.start_force_N)
+        return initial_state(
+            self.places, self.prior, point, total, markers=koi[rows], place_sd_mm=sd_mm
+        )
 
     def _centroid(
-        self, koi: IntArray, force_N: FloatArray, rows: IntArray
+        self, koi: IntArray, force: SwitchForces, rows: IntArray
     ) -> tuple[FloatArray, float]:
-        """Return the centroid (3,) of switches ``koi[rows]`` by force, and their total force."""
-        weight = np.maximum(force_N[rows], 1e-3)
-        point = weight @ self.position_mm[koi[rows]] / weight.sum()
-        return point, float(force_N[rows].sum())
+        """Return the prior centre (3,) of a contact on switches ``koi[rows]``, and its spread, mm.
 
-    def _parts(
-        self, koi: IntArray, force_N: FloatArray, rows: IntArray, reach_mm: float
-    ) -> list[IntArray]:
-        """Return rows of ``koi`` around the most loaded one, then around that of the rest, …."""
+        It is their centroid by force, as far as that is known.
+        """
+        weight = force.force_N[rows] + force.sd_N[rows]
+        total = float(weight.sum())
+        point = weight @ self.position_mm[koi[rows]] / total
+        arm = np.linalg.norm(self.position_mm[koi[rows]] - point, axis=1)
+        spread_mm = float(np.linalg.norm(force.sd_N[rows] * arm)) / total
+        return point, float(np.hypot(self.prior.place_mm, spread_mm))
+
+    def _parts(self, koi: IntArray, force: SwitchForces, rows: IntArray) -> list[IntArray]:
+        """Return rows of ``koi`` within reach of the most loaded one, then of that of the rest."""
         parts = []
         while len(rows):
-            top = rows[np.argmax(force_N[rows])]
+            top = rows[np.argmax(force.force_N[rows])]
             gap = self.position_mm[koi[rows]] - self.position_mm[koi[top]]
-            mine = np.linalg.norm(gap, axis=1) <= reach_mm
+            mine = np.linalg.norm(gap, axis=1) <= self._reach_mm
             parts.append(rows[mine])
             rows = rows[~mine]
         return parts
@@ -436,15 +453,43 @@ class ContactLocator:
         carried[koi] = carried[self.blind] = 0.0
         return bool((carried <= SETTINGS.threshold_excess_max * self.threshold_N).all())
 
+    def _log_switches(self, state: ContactState, koi: IntArray) -> float:
+        """Return the logarithm of how likely it is that switches read as they do, under a contact.
+
+        How far it extends is poorly known: of likely extents, the one that agrees best with each.
+        """
+        own = float(self._radii([state])[0])
+        radius = np.array([own, self.footprint_mm, SETTINGS.reach_radii * self.places.radius_mm])
+        gap = np.linalg.norm(centre_of(self.places, state) - self.position_mm, axis=1)
+        near = np.flatnonzero(gap <= radius.max() + self.footprint_mm)
+        carried = float(state.x[0]) * disc_overlap_share(
+            gap[near], radius[:, None], self.footprint_mm
+        )
+        on = self._share_on(carried, self.threshold_N[near])
+        reads_off = ~np.isin(near, koi) & ~np.isin(near, self.blind)
+        off = 1.0 - on.min(axis=0)[reads_off]
+        started = np.setdiff1d(state.markers, self.blind)
+        reached = on.max(axis=0)[np.isin(near, started)]
+        missed = np.zeros(len(started) - len(reached))
+        likely = np.maximum(np.concatenate([off, reached, missed]), SETTINGS.misread_share)
+        return float(np.log(likely).sum())
+
+    @staticmethod
+    def _share_on(carried_N: FloatArray, threshold_N: FloatArray) -> FloatArray:
+        """Return the share (…, m) of switches that forces (…, m) turn on: thresholds scatter."""
+        over = np.log(np.maximum(carried_N, 1e-9) / threshold_N) / SETTINGS.threshold_spread
+        # The logistic function is within 0.01 of the normal distribution's.
+        return np.asarray(1.0 / (1.0 + np.exp(-1.702 * np.clip(over, -30.0, 30.0))))
+
     def _radii(self, states: Sequence[ContactState]) -> FloatArray:
         """Return the radius (c,) mm of the uniform disc with each contact's mean second moment."""
         disc = self.places.radius_mm**2 / 2.0
         moment = np.array([disc + state.x[3] + state.x[5] for state in states])
         return np.asarray(np.sqrt(2.0 * np.maximum(moment, SETTINGS.moment_min * disc)))
 
-    def _report(self, found: FitState, koi: IntArray) -> ContactDetection:
+    def _report(self, found: FitState, seen: ShiftObservation) -> ContactDetection:
         """Return accepted contacts, with corrected forces and their switches."""
-        best = found.fit
+        best, koi = found.fit, seen.koi
         accepted = [k for k, state in enumerate(best.states) if not state.tentative]
         out = ContactDetection(
             contacts=[],
@@ -455,11 +500,9 @@ class ContactLocator:
         )
         if not accepted:
             return out
-        states, covariances = self._averaged(best, accepted, noise_scale=found.noise_scale)
+        states, covariances = self._averaged(found, accepted, seen)
         sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-        sd[:, 0] = np.hypot(sd[:, 0], self._force_by_place(best)[accepted])
         sd[:, 0] = np.hypot(sd[:, 0], self._force_by_extent(states))
-        sd[:, 0] *= _upper_side(sd[:, 0], np.array([best.states[k].x[0] for k in accepted]))
         points = np.stack([centre_of(self.places, state) for state in states])
         radius = self._radii(states)
         raw = np.array([state.x[0] for state in states])
@@ -503,30 +546,6 @@ class ContactLocator:
         out.contacts.sort(key=lambda contact: len(contact.markers) == 0)
         return out
 
-    def _force_by_place(self, best: ContactFit) -> FloatArray:
-        """Return by how much the force (c,) N of contacts would differ nearer to their switches.
-
-        Beside a rim many places fit nearly as well, each with another force, and the curvature at
-        the best one says little of the others. The farther a contact is from its switches, over
-        the standard deviation of its prior, the likelier errors of the picture moved it there; as
-        far as they could: not where the place is well determined, and wholly beyond the rim.
-        """
-        out = np.zeros(len(best.states))
-        moved = prior_residual(self.places, best.states, self.prior).reshape(-1, UNKNOWNS)[:, 1:3]
-        allowed = np.array([state.place_sd_mm for state in best.states])
-        inside = (allowed**2 / np.maximum(np.sum(moved**2, axis=1), 1e-18)).tolist()
-        for k, off in enumerate(moved):
-            if inside[k] >= 1.0:
-                continue
-            xy = slice(UNKNOWNS * k + 1, UNKNOWNS * k + 3)
-            place = best.covariance[xy, xy]
-            slope = np.linalg.solve(place, best.covariance[xy, UNKNOWNS * k])
-            # Standard deviation of the place that way, over the prior's.
-            free = min(float(np.sqrt(off @ place @ off * inside[k])) / allowed[k] ** 2, 1.0)
-            free = 1.0 if self._beyond_rim(best.states[k]) else free
-            out[k] = abs(float(slope @ off)) * free * (1.0 - inside[k])
-        return out
-
     def _force_by_extent(self, states: Sequence[ContactState]) -> FloatArray:
         """Return the error (c,) N of contacts that are too large for their second moments alone."""
         xx, xy, yy = np.array([state.x[3:SHEAR_START] for state in states]).T
@@ -535,28 +554,25 @@ class ContactLocator:
         force = np.array([state.x[0] for state in states])
         return np.asarray(SETTINGS.extent_share * excess * force)
 
-    def _beyond_rim(self, state: ContactState) -> bool:
-        """Return whether a contact's centre is where the surface has ended."""
-        places, own = self.places, state.place
-        for axis, at in ((places.along, state.x[1]), (places.around, state.x[2])):
-            if abs(at) < SETTINGS.rim_share * places.spacing_mm:
-                continue
-            next_one = places.point_mm[own] + np.sign(at) * places.spacing_mm * axis[own]
-            if int(places.nearest(next_one[None])[0]) == own:
-                return True
-        return False
-
     def _averaged(
-        self, best: ContactFit, accepted: Sequence[int], *, noise_scale: float
+        self, found: FitState, accepted: Sequence[int], seen: ShiftObservation
     ) -> tuple[list[ContactState], FloatArray]:
         """Return the accepted contacts, and their covariances (c, 8, 8), with or without shear."""
+        best = found.fit
         # Residuals beyond noise are errors of the model, of any kind: they widen all spreads. Noise
         # beyond the usual one is an error of the picture, often alike for many markers.
-        wider = noise_scale**2 * max(best.reduced_chi2, 1.0)
+        average = PlaceAverage(
+            places=self.places,
+            prior=self.prior,
+            noise=self.noise,
+            seen=replace(seen, noise_scale=found.noise_scale),
+            fit=best,
+            scale=found.noise_scale**2 * max(best.reduced_chi2, 1.0),
+            log_switches=partial(self._log_switches, koi=seen.koi),
+        )
         states, covariances = [], []
         for k in accepted:
-            own = slice(UNKNOWNS * k, UNKNOWNS * (k + 1))
-            state, covariance = best.states[k], wider * best.covariance[own, own]
+            state, covariance = average.contact(k)
             if self.places.shear is not None:
                 x, covariance = average_over_friction(
                     state.x, covariance, shear_sd=self.prior.shear_sd
@@ -594,13 +610,3 @@ class ContactLocator:
         """Return distances (c, m) mm of discs from switches, and shares of each disc on each."""
         gap = np.linalg.norm(points_mm[:, None] - self.position_mm[markers][None], axis=2)
         return gap, disc_overlap_share(gap, radius_mm[:, None], self.footprint_mm)
-
-
-def _upper_side(sd_N: FloatArray, force_N: FloatArray) -> FloatArray:
-    """Return the upper side of intervals (c,) over the lower: forces that are poorly determined.
-
-    Beside a rim the force that a motion needs grows by the same factor for each millimetre, so that
-    its logarithm is what a place determines.
-    """
-    share = np.clip(sd_N / force_N, 1e-9, 1.0)
-    return np.asarray(np.expm1(share) / share)

@@ -209,6 +209,7 @@ def noisy_rims(
     spread_max: float = 0.05,
     *,
     chi2_allowed: float = 1.0,
+    chi2_systematic: float = 3.0,
 ) -> list[str]:
     """Warning of forces that noise above the expected one makes doubtful; none for others.
 
@@ -223,8 +224,13 @@ def noisy_rims(
         Relative standard deviation of a force that is well determined.
     chi2_allowed : float
         Reduced χ² of the largest noise that the camera may have, where its usual one is predicted.
+    chi2_systematic : float
+        Reduced χ² by this frame's own noise, above which errors are not noise.
     """
-    if found is None or found.chi2_of_usual <= chi2_max * chi2_allowed:
+    if found is None:
+        return []
+    usual = found.chi2_of_usual <= chi2_max * chi2_allowed
+    if usual and found.reduced_chi2 <= chi2_systematic:
         return []
     if all(one.sd_N <= spread_max * one.force_N for one in found.contacts):
         return []

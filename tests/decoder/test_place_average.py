@@ -1,0 +1,189 @@
+"""Contacts beside a rim, whose force and place are confused."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from phytac_decoder.estimation import contact_fit, place_average
+from phytac_decoder.estimation.contact_estimates import LocatedContact
+from phytac_decoder.estimation.contact_fit import ShiftObservation
+from phytac_decoder.estimation.locator import ContactLocator, SwitchForces
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.discs import disc_overlap_share
+from tests.decoder.flat_sensor import (
+    DISC,
+    MARKERS,
+    RADIUS_MM,
+    flat_locator,
+    nearest,
+    per_newton,
+    shifts,
+    together,
+)
+
+NOISE_PX = 0.25
+ONLY_BEST = replace(place_average.SETTINGS, force_share=np.inf, log_switches_min=-np.inf)
+"""No averages: the best place alone."""
+
+
+def softness(x_mm: float) -> float:
+    """Share of the motion that is left at a distance from the rim at x = 0."""
+    return float(np.exp(min(x_mm - 15.0, 0.0) / 4.0))
+
+
+@cache
+def with_rim() -> ContactLocator:
+    """The flat sensor, linear, whose wall stiffens towards the rim at x = 0."""
+    plain = flat_locator(noise_px=NOISE_PX, place_mm=3.0)
+    places = plain.places
+    soft = np.array([softness(x) for x in places.point_mm[:, 0]])
+    rows = (places.shift_px[:, :1] * soft[:, None, None]).astype(np.float32)
+    prior = replace(plain.prior, force_N=25.0)
+    return replace(plain, places=replace(places, shift_px=rows), prior=prior)
+
+
+def pressed(rng: np.random.Generator) -> tuple[float, FloatArray, LocatedContact]:
+    """Force and place of a random contact near the rim, and what is found."""
+    at = np.array([rng.uniform(2.0, 9.0), rng.uniform(15.0, 45.0), 0.0])
+    force = rng.uniform(8.0, 25.0)
+    motion = force * softness(at[0]) * per_newton(at) + rng.normal(0.0, NOISE_PX, 2 * len(MARKERS))
+    gap = np.linalg.norm(MARKERS - at, axis=1)
+    on = force * disc_overlap_share(gap, RADIUS_MM, with_rim().footprint_mm) >= 0.5
+    found = with_rim().find(motion.reshape(-1, 2), np.flatnonzero(on))
+    return force, at, found.contacts[0]
+
+
+@pytest.fixture(params=[True, False], ids=["averaged", "best place alone"])
+def averaged(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Whether places are averaged."""
+    if not request.param:
+        monkeypatch.setattr(place_average, "SETTINGS", ONLY_BEST)
+    return bool(request.param)
+
+
+def test_forces_and_places_beside_a_rim(averaged: bool) -> None:
+    """Switches and the curved relation of place and force say more than the best place alone."""
+    found = [pressed(np.random.default_rng(seed)) for seed in range(80)]
+    off_N = np.array([one.raw_N - force for force, _, one in found])
+    off_mm = np.array([np.linalg.norm(one.point_mm - at) for _, at, one in found])
+    sd_N = np.array([one.raw_sd_N for *_, one in found])
+    share = np.abs(off_N) / np.array([force for force, *_ in found])
+    assert np.mean(np.abs(off_N) <= 1.96 * sd_N) >= 0.95
+    assert (np.mean(share) < 0.22) == averaged
+    assert (np.mean(off_mm) < 1.22) == averaged
+
+
+def test_the_average_is_that_of_a_fine_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against the posterior by brute force over force and place; extent and shear are sure."""
+    monkeypatch.setattr(ContactLocator, "_log_switches", lambda *_, **__: 0.0)
+    locator = with_rim()
+    sure = replace(locator.prior, moments_sd_mm2=(1e-3, 1e-3, 1e-3), shear_sd=1e-3)
+    locator = replace(locator, prior=sure, noise=replace(locator.noise, share=0.0))
+    at, marker = np.array([5.0, 33.0, 0.0]), nearest(np.array([3.0, 33.0, 0.0]))
+    motion = 12.0 * softness(at[0]) * per_newton(at)
+    (one,) = locator.find(motion.reshape(-1, 2), np.array([marker])).contacts
+
+    x = np.linspace(-1.0, 14.0, 151)
+    y = np.linspace(27.0, 39.0, 31)
+    force = np.geomspace(0.5, 120.0, 300)
+    log_density = np.full((len(x), len(y), len(force)), -np.inf)
+    for i, along in enumerate(x):
+        for j, around in enumerate(y):
+            point = np.array([along, around, 0.0])
+            unit = softness(along) * per_newton(point)
+            off = motion[:, None] - unit[:, None] * force
+            place = float(np.sum((point - MARKERS[marker]) ** 2)) / locator.prior.place_mm**2
+            # The prior of a place has the tails of Cauchy's distribution.
+            far = contact_fit.SETTINGS.place_sds**2
+            cost = np.sum(off**2, axis=0) / NOISE_PX**2 + far * np.log1p(place / far)
+            log_density[i, j] = -0.5 * (cost + (force / 25.0) ** 2)
+    density = np.exp(log_density - log_density.max())
+    # On the grid of forces, which is even in their logarithm.
+    each = density.sum(axis=(0, 1))
+    share = np.cumsum(each) / each.sum()
+    median = float(np.interp(0.5, share, force))
+    assert one.raw_N == pytest.approx(median, rel=0.1)
+    uniform = np.cumsum(each * force) / np.sum(each * force)
+    high = float(np.interp(0.975, uniform, force))
+    assert one.raw_N + 1.96 * one.raw_sd_N == pytest.approx(high, rel=0.06)
+    mean_x = float(np.sum(density.sum(axis=(1, 2)) * x) / density.sum())
+    assert one.point_mm[0] == pytest.approx(mean_x, abs=0.2)
+    sd_x = np.sqrt(np.sum(density.sum(axis=(1, 2)) * (x - mean_x) ** 2) / density.sum())
+    assert one.sd_mm[0] == pytest.approx(sd_x, rel=0.1)
+
+
+def test_a_contact_out_of_reach_of_its_switch_is_nearer_to_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Noise moves a weak contact to a switch that reads off, away from its own."""
+    locator = flat_locator(noise_px=0.6, place_mm=3.0)
+    at = np.array([33.0, 33.0, 0.0])
+    seen = shifts(at + np.array([12.0, 0.0, 0.0]), 1.5).reshape(-1, 2)
+    koi = np.array([nearest(at)])
+    (near,) = locator.find(seen, koi).contacts
+    settings = replace(place_average.SETTINGS, log_switches_min=-np.inf)
+    monkeypatch.setattr(place_average, "SETTINGS", settings)
+    (far,) = locator.find(seen, koi).contacts
+    off = [float(np.linalg.norm(one.point_mm - at)) for one in (near, far)]
+    assert off[0] < off[1] - 1.0
+
+
+def test_on_a_surface_smaller_than_a_step_the_best_place_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng
+    *_, averaged = pressed(rng(0))
+    monkeypatch.setattr(place_average.PlaceAverage, "_moved", lambda *_: None)
+    *_, alone = pressed(rng(0))
+    monkeypatch.setattr(place_average, "SETTINGS", ONLY_BEST)
+    *_, wanted = pressed(rng(0))
+    assert alone.raw_N == wanted.raw_N != averaged.raw_N
+    assert alone.raw_sd_N == wanted.raw_sd_N
+
+
+def test_a_prior_centre_is_as_sure_as_the_forces_on_its_switches() -> None:
+    koi = np.array([nearest(np.array([x, 33.0, 0.0])) for x in (3.0, 9.0)])
+    locator, rows = with_rim(), np.arange(2)
+    sure = SwitchForces(np.array([0.0, 5.0]), np.array([0.01, 0.01]))
+    point, sd_mm = locator._centroid(koi, sure, rows)
+    assert point[0] == pytest.approx(9.0, abs=0.1)
+    assert sd_mm == pytest.approx(locator.prior.place_mm, rel=0.01)
+    stiff = SwitchForces(np.array([0.0, 5.0]), np.array([5.0, 0.01]))
+    point, sd_mm = locator._centroid(koi, stiff, rows)
+    assert point[0] == pytest.approx(6.0, abs=0.1)
+    # Half of the 6 mm between them, by the share 5 / 10 that is unknown.
+    assert sd_mm == pytest.approx(np.hypot(locator.prior.place_mm, 1.5), rel=0.01)
+
+
+def test_beside_a_rim_a_force_on_a_switch_is_hardly_known() -> None:
+    koi = np.array([nearest(np.array([x, 33.0, 0.0])) for x in (3.0, 21.0)])
+    seen = ShiftObservation(
+        shift_px=np.zeros(2 * len(MARKERS)),
+        found=np.ones(2 * len(MARKERS), dtype=np.bool_),
+        koi=koi,
+    )
+    rim, middle = with_rim()._switch_forces(seen).sd_N
+    assert rim > 10.0 * middle
+    assert rim < with_rim().prior.force_N
+
+
+def test_one_group_of_switches_is_split_where_another_is_not() -> None:
+    """A large contact stays one, though two contacts elsewhere are one group."""
+    large = np.array([30.0, 15.0, 0.0])
+    two = [np.array([x, 45.0, 0.0]) for x in (18.0, 36.0)]
+    seen = shifts(large, 12.0, 2.5 * DISC) + shifts(two[0], 9.0) + shifts(two[1], 8.0)
+    koi = [nearest(np.array([x, 15.0, 0.0])) for x in (21.0, 27.0, 33.0, 39.0)]
+    koi += [nearest(np.array([x, 45.0, 0.0])) for x in (15.0, 21.0, 27.0, 33.0, 39.0)]
+    found = flat_locator().find(seen.reshape(-1, 2), np.unique(koi)).contacts
+    force = sorted(round(one.force_N) for one in found)
+    assert force == [8, 9, 12]
+
+
+def test_two_groups_of_switches_are_both_split() -> None:
+    places = [np.array([x, y, 0.0]) for y in (12.0, 48.0) for x in (18.0, 36.0)]
+    seen = together(places, [9.0, 8.0, 7.0, 6.0])
+    koi = [nearest(np.array([x, y, 0.0])) for y in (9.0, 45.0) for x in range(15, 40, 6)]
+    found = flat_locator().find(seen.reshape(-1, 2), np.unique(koi)).contacts
+    assert sorted(round(one.force_N) for one in found) == [6, 7, 8, 9]
