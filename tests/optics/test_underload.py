@@ -184,6 +184,12 @@ def side_mm() -> float:
 
 def half_covered(factor: int, side: float) -> tuple[RenderScene, RenderScene, Camera, int]:
     """Scenes at rest and with a marker half covered by one that moved; camera; that marker."""
+    scene, markers, motion, camera, back = half_covering(factor, side)
+    return scene, scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera, back
+
+
+def half_covering(factor: int, side: float) -> tuple[RenderScene, Markers, np.ndarray, Camera, int]:
+    """Scene at rest; its markers; the motion that half covers one; camera; that marker."""
     design = finer(small(), factor)
     surface = design.surface()
     markers = make_markers(design, surface)
@@ -193,8 +199,7 @@ def half_covered(factor: int, side: float) -> tuple[RenderScene, RenderScene, Ca
     # Of the other colour, so that the two make no blob together.
     front = int(np.flatnonzero((markers.row == 0) & (markers.colour != markers.colour[back]))[0])
     whole = over(markers, camera, front, back)
-    motion = moved(markers, front, whole + np.array([side, 0.0, 0.0]))
-    return scene, scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera, back
+    return scene, markers, moved(markers, front, whole + np.array([side, 0.0, 0.0])), camera, back
 
 
 def test_sampling_of_crosstalk(side_mm: float) -> None:
@@ -209,7 +214,8 @@ def test_sampling_of_crosstalk(side_mm: float) -> None:
 
 def test_a_decoder_suffers_what_crosstalk_says(side_mm: float) -> None:
     """Blobs of the decoder's own segmentation shift by it, of a marker that stands still."""
-    rest, pressed, camera, back = half_covered(2, side_mm)
+    rest, markers, motion, camera, back = half_covering(2, side_mm)
+    pressed = rest.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)
     model = ColourModel.from_rgb(paints_of(rest.paints))
     home = scene_state(rest, camera)
     seen = scene_state(pressed, camera)
@@ -222,6 +228,17 @@ def test_a_decoder_suffers_what_crosstalk_says(side_mm: float) -> None:
         own = blobs.centroid_px[blobs.colour == model.names.index(rest.paints[rest.colour[back]])]
         found.append(own[np.linalg.norm(own - centre, axis=1).argmin()])
     assert found[1] - found[0] == pytest.approx(expected, abs=0.35)
+    # It stands still, so that its whole shift is crosstalk.
+    shift = float(np.linalg.norm(found[1] - found[0]))
+    under_load = visibility_under_load(
+        rest,
+        camera,
+        pivots_mm=markers.mid_mm,
+        motions=motion[None, None],
+        forces_N=np.array([10.0]),
+    )
+    assert seen.crosstalk_px(home)[back] == pytest.approx(shift, rel=0.3)
+    assert under_load.crosstalk_still_px[back] == pytest.approx(shift, rel=0.3)
 
 
 def test_worst_press_is_the_tightest_where_nothing_happens(

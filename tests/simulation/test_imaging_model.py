@@ -204,6 +204,29 @@ def test_points_have_the_noise_of_frames(rig: Rig) -> None:
     assert 0.002 < np.median(rest.noise_px) < 0.1
     dark = np.stack([imaging.points(rig.still, rig.off, 0.25, rng).shift_px for _ in range(100)])
     assert rms(dark) > 1.6 * rms(points)
+    dark_frames = np.stack(
+        [imaging.read(imaging.frame(rig.still, rig.off, 0.25, rng)).shift_px for _ in range(8)]
+    )
+    assert rms(dark) == pytest.approx(rms(dark_frames.std(axis=0, ddof=1)), rel=0.3)
+
+
+def test_points_of_moved_markers_err_as_frames_without_noise_do(rig: Rig) -> None:
+    """Paint crosses the grid of pixels as a marker moves; a marker at rest shows none of it."""
+    quiet = replace(rig.imaging.at_rest, noise_px=np.zeros((len(rig.off), 2)))
+    imaging = rig.make(rig.unit, at_rest=quiet)
+    zero = imaging.read(imaging.frame(rig.still, rig.off)).shift_px
+    framed, drawn = [], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        motion = rig.still.copy()
+        motion[:, :3] = rng.normal(0.0, 0.3, 3)
+        exact = imaging.points(motion, rig.off).shift_px
+        framed.append(imaging.read(imaging.frame(motion, rig.off)).shift_px - zero - exact)
+        drawn.append(imaging.points(motion, rig.off, 1.0, rng).shift_px - exact)
+    assert rms(np.array(framed)) > 0.02
+    assert rms(np.array(drawn)) == pytest.approx(rms(np.array(framed)), rel=0.35)
+    still = imaging.points(rig.still, rig.off, 1.0, np.random.default_rng(0)).shift_px
+    np.testing.assert_array_equal(still, 0.0)
 
 
 def test_same_generator_same_sample(rig: Rig) -> None:

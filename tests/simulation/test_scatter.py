@@ -1,10 +1,13 @@
 """Virtual prints: repeatable, apart from each other, consistent in themselves."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of
@@ -12,6 +15,7 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.scenario import instance_scatter
 from phytac_design.simulation.scenario.instance_scatter import (
+    _mounted,
     _wall,
     cut_normal,
     draw_sensor_instance,
@@ -271,6 +275,28 @@ def test_cameras_turn_and_focus() -> None:
     assert lens.fx_px / known.fx_px == pytest.approx(lens.fy_px / known.fy_px, rel=1e-12)
     assert lens.fx_px != known.fx_px
     assert (lens.cx_px, lens.width_px) == (known.cx_px, known.width_px)
+
+
+def test_a_camera_turns_about_its_own_axes() -> None:
+    """A roll spins the image about its centre; pitch and yaw move what lies on the optical axis."""
+    aside = Rotation.from_euler("xyz", [70.0, -35.0, 20.0], degrees=True).as_matrix()
+    camera = replace(CAMERAS[0], rotation=aside)
+    ahead = camera.position_mm + 50.0 * aside[2]
+    points = ahead + np.random.default_rng(0).uniform(-10.0, 10.0, (20, 3))
+    centre = np.array(camera.centre_px)
+    turn = 0.1
+    before = camera.project(points) - centre
+
+    def turned(*vector: float) -> Camera:
+        return _mounted(camera, step_mm=np.zeros(3), turn_rad=np.array(vector), focal=1.0)
+
+    after = turned(0.0, 0.0, turn).project(points) - centre
+    c, s = np.cos(turn), np.sin(turn)
+    np.testing.assert_allclose(after, before @ np.array([[c, s], [-s, c]]), atol=1e-8)
+    step = camera.focal_px * np.tan(turn)
+    for vector, expected in (((turn, 0.0, 0.0), (0.0, -step)), ((0.0, turn, 0.0), (step, 0.0))):
+        moved = turned(*vector).project(ahead[None])[0] - centre
+        np.testing.assert_allclose(moved, expected, atol=1e-8)
 
 
 def test_two_cameras_move_apart() -> None:

@@ -162,7 +162,7 @@ def _moved(sensor: Sensor, *, step_mm: FloatArray, taller_mm: FloatArray) -> Mar
 
 
 def _mounted(camera: Camera, *, step_mm: FloatArray, turn_rad: FloatArray, focal: float) -> Camera:
-    """Camera moved by (3,) mm, turned about its own centre by a rotation vector (3,), refocused."""
+    """Camera moved by (3,) mm, turned by a rotation vector (3,) in its own axes, refocused."""
     from scipy.spatial.transform import Rotation
 
     lens = camera.lens

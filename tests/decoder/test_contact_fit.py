@@ -1,0 +1,71 @@
+"""The fit's statistics: errors of its tables in quadrature with noise, and its priors."""
+
+import numpy as np
+import pytest
+
+from phytac_decoder.estimation.contact_fit import (
+    ContactFit,
+    ContactPrior,
+    ShiftNoise,
+    ShiftObservation,
+    fit_contacts,
+    initial_state,
+)
+from phytac_shapes.arrays import FloatArray
+from tests.decoder.flat_sensor import DISC, MARKERS, flat_places, nearest, shifts
+
+AT = np.array([27.0, 33.0, 0.0])
+PLACES = flat_places()
+NOISE_PX = 0.02
+
+
+def fitted(
+    shift_px: FloatArray, noise: ShiftNoise, prior: ContactPrior, *, found: bool = True
+) -> ContactFit:
+    """Fit of one contact at ``AT``, from 8 N on its switch."""
+    markers = np.array([nearest(AT)])
+    state = initial_state(PLACES, prior, AT, 8.0, markers=markers)
+    seen = ShiftObservation(
+        shift_px=shift_px, found=np.full(len(shift_px), found), koi=np.zeros(0, dtype=np.int64)
+    )
+    return fit_contacts(PLACES, [state], seen, prior=prior, noise=noise)
+
+
+def test_tables_that_are_a_share_off_are_within_the_expected_noise() -> None:
+    """Receptors that each respond 5 % more or less than the tables: χ² and intervals hold."""
+    share, true = 0.05, shifts(AT, 10.0)
+    noise = ShiftNoise(centroid_px=NOISE_PX, share=share, switched_px=0.0)
+    prior = ContactPrior(place_mm=1.5)
+    rng = np.random.default_rng(0)
+    chi2, z = [], []
+    for _ in range(60):
+        off = rng.normal(0.0, share, len(true)) * true + rng.normal(0.0, NOISE_PX, len(true))
+        fit = fitted(true + off, noise, prior)
+        chi2.append(fit.reduced_chi2)
+        z.append((fit.states[0].x[0] - 10.0) / np.sqrt(fit.covariance[0, 0]))
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.2)
+    # Of 60 draws the standard deviation is known to 9 %; priors make it a little smaller.
+    assert 0.6 < np.std(z) < 1.3
+
+
+def test_a_contact_that_no_marker_shows_keeps_the_moments_of_its_prior() -> None:
+    prior = ContactPrior(place_mm=1.5, moments_mm2=(4.0, -1.5, 2.5))
+    fit = fitted(np.zeros(2 * len(MARKERS)), ShiftNoise(centroid_px=NOISE_PX), prior, found=False)
+    np.testing.assert_allclose(fit.states[0].x[3:6], prior.moments_mm2, atol=1e-9)
+
+
+def test_a_prior_of_large_indenters_helps_to_read_large_contacts() -> None:
+    """Noise hides the size of a contact: a prior at its true size gives the best force."""
+    more = 2.0 * DISC
+    noise = ShiftNoise(centroid_px=0.5, share=0.0, switched_px=0.0)
+    errors = []
+    for mean in (more, -0.5 * more):
+        prior = ContactPrior(place_mm=1.5, moments_mm2=tuple(mean), moments_sd_mm2=(1.0, 1.0, 1.0))
+        rng = np.random.default_rng(1)
+        off = []
+        for _ in range(20):
+            seen = shifts(AT, 10.0, DISC + more) + rng.normal(0.0, 0.5, 2 * len(MARKERS))
+            off.append(fitted(seen, noise, prior).states[0].x[3:6] - more)
+        errors.append(float(np.abs(np.mean(off, axis=0)).max()))
+    assert errors[0] < 1.5
+    assert errors[0] < 0.5 * errors[1]
