@@ -13,6 +13,7 @@ import numpy as np
 from benchmarks import (
     mechanics_calibration,
     mechanics_large,
+    mechanics_mesh_error,
     mechanics_receptors,
     mechanics_speed,
 )
@@ -192,6 +193,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "large": large,
         "calibration": partial(mechanics_calibration.add_rows, quick=quick),
         "receptors": partial(mechanics_receptors.add_rows, quick=quick),
+        "mesh-error": partial(mechanics_mesh_error.add_rows, quick=quick),
         "speed": partial(mechanics_speed.add_rows, quick=quick),
     }
 

@@ -191,11 +191,18 @@ def test_mesh_error_is_of_the_size_of_the_true_one() -> None:
     gap = np.linalg.norm(coarse.tip_mm - fine.tip_mm, axis=1).max()
     truth = gap / np.linalg.norm(fine.tip_mm, axis=1).max()
     assert coarse.mesh_error is not None
-    assert 1.0 < coarse.mesh_error / truth < 5.0
+    # Of two meshes: a bound of three times what theory gives.
+    assert 1.0 < coarse.mesh_error / truth < 8.0
     assert not coarse.resolved
     assert fine.resolved
     assert fine.mesh_error is not None
     assert fine.mesh_error < 0.2 * coarse.mesh_error
+    middle = pressed(1.0, "linear", receptors=False, refine=6)
+    gap = np.linalg.norm(middle.tip_mm - fine.tip_mm, axis=1).max()
+    truth = gap / np.linalg.norm(fine.tip_mm, axis=1).max()
+    assert middle.resolved
+    assert middle.mesh_error is not None
+    assert 1.0 / 3.0 < truth / middle.mesh_error < 3.0
     assert pressed(1.0, "linear", refine=1).mesh_error is None
 
 

@@ -225,23 +225,26 @@ def _large_motion(model: ShellModel, load: Any, place: ContactPatch) -> Equilibr
 def _mesh_error(
     sensor: Sensor, place: ContactPatch, fine: ProbedShell, refine: int, *, receptors: bool
 ) -> tuple[float | None, bool]:
-    """Error by a mesh of about half the elements along each side; whether both are fine enough."""
+    """Error by meshes of about a half and a quarter of the elements along each side.
+
+    Returns the error, None where no mesh is enough coarser, and whether it is an estimate.
+    """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     wall = design.wall.thickness_mm
-    try:
-        coarse = marker_mesh(surface, markers, thickness_mm=wall, refine=refine // 2)
-    except DesignError:  # no coarser mesh holds the markers
+    parts, elements = {refine: fine}, len(fine.model.quads)
+    for level in (refine // 2, refine // 4):
+        try:
+            mesh = marker_mesh(surface, markers, thickness_mm=wall, refine=level)
+        except DesignError:  # no coarser mesh holds the markers
+            break
+        if elements < discretisation.SETTINGS.min_size_ratio**2 * len(mesh.quads):
+            break
+        model = sensor_model(design, markers, mesh, receptors=receptors)
+        parts[level] = probed_sensor(model, mesh, surface, markers, place.uv[None], place.radius_mm)
+        elements = len(mesh.quads)
+    if len(parts) == 1:
         return None, False
-    if len(fine.model.quads) < discretisation.SETTINGS.min_size_ratio**2 * len(coarse.quads):
-        return None, False
-
-    def make(level: int) -> ProbedShell:
-        if level == refine:
-            return fine
-        model = sensor_model(design, markers, coarse, receptors=receptors)
-        return probed_sensor(model, coarse, surface, markers, place.uv[None], place.radius_mm)
-
-    found = estimate_error(make, (refine, refine // 2))
+    found = estimate_error(parts.__getitem__, tuple(parts))
     return float(found.relative[0]), bool(found.asymptotic[0])
 
 
