@@ -2,8 +2,9 @@
 
 The truth is the same element on a fine mesh, graded towards layers, extrapolated over it and one of
 half its elements a side; a third of their difference is its uncertainty. Sources: Bathe, Iosilevich
-and Chapelle (2000) for the partly clamped hyperbolic paraboloid, :mod:`verification.shells` for the
-others; :mod:`verification.designs` for sensors.
+and Chapelle (2000) for the partly clamped hyperbolic paraboloid; Morley (1963), Cook (1974) and Lee
+and Bathe (2004) for the last three; :mod:`verification.shells` for the others;
+:mod:`verification.designs` for sensors.
 """
 
 from collections.abc import Callable, Iterator
@@ -262,6 +263,7 @@ def error_cases() -> Iterator[ErrorCase]:
     yield from _hypars()
     yield from _published()
     yield from _plates_and_strips()
+    yield from later_cases()
     for shape in SHAPES:
         yield ErrorCase(
             name=f"sensor {shape} pressed by a patch",
@@ -269,6 +271,74 @@ def error_cases() -> Iterator[ErrorCase]:
             finest=(16, 8),
             elements=(8,),
         )
+
+
+def later_cases() -> Iterator[ErrorCase]:
+    """Three cases of the literature, taken up after the method and its settings were fixed."""
+    yield _case("Morley's skew plate, 30°", skew_plate, USUAL, 96)
+    yield _case("Cook's membrane", cooks_membrane, USUAL, 96)
+    yield _case(
+        "hyperboloid clamped at its ends, t/L 0.01",
+        clamped_hyperboloid,
+        USUAL,
+        96,
+        layer=0.1,
+        ends=((False, False), (False, True)),
+    )
+
+
+def skew_plate(n: Sides) -> ShellProblem:
+    """Rhombus of 30°, a/t 100, soft simple supports, uniform load; 0.000408 q a⁴/D.
+
+    Morley (1963): moments are singular at the obtuse corners.
+    """
+    side, modulus, poisson = 100.0, 1e5, 0.3
+    c, s = np.cos(np.pi / 6.0), np.sin(np.pi / 6.0)
+    mesh = patch(lambda a, b: side * np.column_stack([a + c * b, s * b, 0.0 * a]), *sides(n))
+    a, b = mesh.ab.T
+    edge = (a == 0.0) | (a == 1.0) | (b == 0.0) | (b == 1.0)
+    bending = modulus / 12.0 / (1.0 - poisson**2)
+    return problem(
+        mesh,
+        ((a >= 0.0, (0, 1, 5)), (edge, (2,))),
+        surface_load(mesh, np.tile([0.0, 0.0, 1.0], (len(mesh.nodes), 1))),
+        weights(mesh, (at(mesh, 0.5, 0.5), 2, 1.0)),
+        reference=4.08e-4 * side**4 / bending,
+        modulus=modulus,
+        poisson=poisson,
+        thickness=1.0,
+    )
+
+
+def cooks_membrane(n: Sides) -> ShellProblem:
+    """Tapered panel, clamped at one end, sheared at the other; 23.96 (Cook 1974)."""
+
+    def surface(a: FloatArray, b: FloatArray) -> FloatArray:
+        low, high = 44.0 * a, 44.0 + 16.0 * a
+        return np.column_stack([48.0 * a, low + b * (high - low), 0.0 * a])
+
+    mesh = patch(surface, *sides(n))
+    a, b = mesh.ab.T
+    loads = np.zeros((len(mesh.nodes), 6))
+    end = a == 1.0
+    loads[end, 1] = shells.line_weights(b[end])
+    return problem(
+        mesh,
+        ((a >= 0.0, (2, 3, 4)), (a == 0.0, CLAMPED)),
+        loads,
+        weights(mesh, (at(mesh, 1.0, 0.5), 1, 1.0)),
+        reference=23.96,
+        modulus=1.0,
+        poisson=1.0 / 3.0,
+        thickness=1.0,
+    )
+
+
+def clamped_hyperboloid(n: Sides) -> ShellProblem:
+    """The free hyperboloid with its ends clamped, t/L 0.01 (Lee and Bathe 2004)."""
+    case = shells.hyperboloid_case(n, thickness=0.01)
+    shells.hold(case.fixed, case.mesh.ab[:, 1] == 1.0, CLAMPED)
+    return case
 
 
 def _hypars() -> Iterator[ErrorCase]:
