@@ -129,6 +129,44 @@ def hinged_roof(
     return model, load.ravel(), middle
 
 
+def open_cylinder(n_around: int, n_along: int) -> tuple[ShellModel, FloatArray, int]:
+    """Octant of a cylinder with free ends that two forces of 40 000 pull apart (Sze, Liu and Lo).
+
+    Its path bends sharply at about half the load, and dips there by a thousandth of it.
+    """
+    quarter, radius, half = np.pi / 2.0, 4.953, 10.35 / 2.0
+    mesh = patch(
+        lambda a, b: np.column_stack(
+            [radius * np.sin(quarter * a), half * b, radius * np.cos(quarter * a)]
+        ),
+        n_around,
+        n_along,
+    )
+    fixed = no_support(mesh)
+    hold(fixed, mesh.ab[:, 0] == 0.0, SYMMETRY[0])
+    hold(fixed, mesh.ab[:, 0] == 1.0, SYMMETRY[2])
+    hold(fixed, mesh.ab[:, 1] == 0.0, SYMMETRY[1])
+    top = at(mesh, 0.0, 0.0)
+    load = np.zeros(fixed.shape)
+    load[top, 2] = 40_000.0 / 4.0
+    model = _model(mesh, fixed, thickness=0.094, modulus=10.5e6, poisson=0.3125)
+    return model, load.ravel(), top
+
+
+def hinged_arch(n: int) -> tuple[ShellModel, FloatArray, int]:
+    """Half of a shallow hinged arch: span 100, rise 2.5, section 1 × 1, a force at its crown."""
+    mesh = patch(lambda a, b: np.column_stack([50.0 * a, b, 2.5 * (1.0 - a * a)]), n, 1)
+    fixed = no_support(mesh)
+    hold(fixed, mesh.ab[:, 0] == 0.0, SYMMETRY[0])
+    hold(fixed, mesh.ab[:, 0] == 1.0, (0, 1, 2))
+    fixed[:, [1, 3, 5]] = True  # it stays in its plane
+    crown = mesh.ab[:, 0] == 0.0
+    load = np.zeros(fixed.shape)
+    load[crown, 2] = -1.0 / 2.0
+    model = _model(mesh, fixed, thickness=1.0, modulus=1000.0, poisson=0.0)
+    return model, load.ravel(), at(mesh, 0.0, 0.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class RoofPath:
     """Load factor and sag of the middle along the path, and its turning points by ``ROOF``."""

@@ -8,7 +8,9 @@ import numpy as np
 
 from phytac_design.mechanics.large.load_path import (
     SETTINGS,
+    ByArc,
     PathCheck,
+    arc_deviation,
     at_rest,
     path_sign,
     translations,
@@ -21,13 +23,10 @@ from phytac_design.mechanics.large.newton import (
     System,
     increment,
 )
-from phytac_design.mechanics.large.stability import PATH_DEVIATION_MAX, path_deviation
+from phytac_design.mechanics.large.stability import PATH_DEVIATION_MAX
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
-
-DESIRED = 6
-"""Iterations per increment that an arc-length step aims at."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,36 +45,6 @@ class ByDisplacement:
             )
         gap = self.distance_mm - float(step.moved[self.dof]) - float(step.balance[self.dof])
         return gap / drive
-
-
-@dataclass(frozen=True, kw_only=True)
-class ByArc:
-    """Root mean square translation of all nodes is ``arc_mm`` in this increment (Crisfield 1981).
-
-    The first step runs along the tangent, onward from ``previous`` (6N,), the increment before;
-    then the constraint is linearised about the motion so far, and met exactly at convergence.
-    """
-
-    arc_mm: float
-    previous: FloatArray
-
-    def change(self, step: NewtonStep) -> float:
-        """δλ; see :class:`newton.Control`."""
-        count = len(step.moved) / 6.0
-        move, tangent, fix = (
-            v.reshape(-1, 6)[:, :3].ravel() for v in (step.moved, step.drive, step.balance)
-        )
-        if not np.any(move):
-            onward = self.previous.reshape(-1, 6)[:, :3].ravel() @ tangent
-            sign = -1.0 if onward < 0.0 else 1.0
-            return float(sign * self.arc_mm * np.sqrt(count) / np.linalg.norm(tangent))
-        gap = count * self.arc_mm**2 - float(move @ move)
-        slope = float(move @ tangent)
-        if slope == 0.0:
-            raise NotConvergedError(
-                "path-turns-sharply", "the path turns at a right angle within one increment"
-            )
-        return (0.5 * gap - float(move @ fix)) / slope
 
 
 def trace_displacement(
@@ -171,7 +140,9 @@ def trace_arc(
         out.append(here)
         if stop(here):
             return out
-        arc = min(longest_mm, arc * min(2.0, np.sqrt(DESIRED / max(here.iterations, 1))))
+        arc = min(
+            longest_mm, arc * min(2.0, np.sqrt(SETTINGS.arc_iterations / max(here.iterations, 1)))
+        )
     raise NumericalError(
         "tracing-increments-exhausted",
         f"{max_increments} increments do not reach the stop (load factor now "
@@ -184,12 +155,4 @@ def _left_path(before: Equilibrium, after: Equilibrium, travelled: FloatArray) -
     along = [float(np.sum(translations(state.rate) * travelled)) for state in (before, after)]
     if path_sign(before, along[0]) != path_sign(after, along[1]) and before.iterations:
         return True
-    length = float(np.linalg.norm(travelled))
-    tangents = [
-        np.sign(way)
-        * length
-        / np.linalg.norm(state.rate.reshape(-1, 6)[:, :3])
-        * translations(state.rate)
-        for way, state in zip(along, (before, after), strict=True)
-    ]
-    return path_deviation(travelled, *tangents) > PATH_DEVIATION_MAX
+    return arc_deviation(before, after) > PATH_DEVIATION_MAX

@@ -117,6 +117,39 @@ def test_load_control_marks_what_lies_beyond_the_limit(
     assert after.jumped == (share * LIMIT + 0.02 > LIMIT)
 
 
+def test_a_sharp_bend_of_the_path_is_no_jump() -> None:
+    """The pulled cylinder: past half its load the path bends sharply; its dip is 0.001 deep."""
+    model, load, top = large_cases.open_cylinder(16, 12)
+    states = solve_large(model, load, factors=[0.5, 0.52, 0.6])
+    assert not any(s.jumped for s in states)
+    assert all(s.stable for s in states)
+    path = trace_arc(model, load, first_mm=0.1, longest_mm=0.03, stop=lambda s: s.load_factor > 0.6)
+    factor = np.array([s.load_factor for s in path])
+    pulled = np.array([s.state.displacement_mm[top, 2] for s in path])
+    for state in states:
+        above = int(np.argmax(factor > state.load_factor))
+        assert pulled[above - 1] < state.state.displacement_mm[top, 2] < pulled[above]
+
+
+def test_a_sharp_bend_is_marked_without_a_path_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, load, _ = large_cases.open_cylinder(16, 12)
+    monkeypatch.setattr(load_path, "_follow", lambda *_: None)
+    assert [s.jumped for s in solve_large(model, load, factors=[0.5, 0.6])] == [False, True]
+
+
+def test_a_shallow_arch_snaps() -> None:
+    model, load, crown = large_cases.hinged_arch(16)
+    stops = np.arange(-0.25, -2.0, -0.25)
+    path = trace_displacement(model, load, dof=6 * crown + 2, stops_mm=stops)
+    assert [s.negative_pivots for s in path] == [0, 0, 0, 0, 0, 1, 1]
+    limit = max(s.load_factor for s in path)
+    (below,) = solve_large(model, load, factors=[0.97 * limit])
+    (above,) = solve_large(model, load, factors=[1.5 * limit])
+    assert (below.jumped, above.jumped) == (False, True)
+    assert sag(below, crown) < 1.25
+    assert sag(above, crown) > 5.0
+
+
 def test_without_the_guard_the_same_jump_is_silent(
     roof: tuple[ShellModel, np.ndarray, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
