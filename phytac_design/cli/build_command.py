@@ -1,6 +1,7 @@
 """``phytac build``: everything of a design, or what a scene, a tolerance or a budget asks for."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +13,6 @@ from phytac_design.cli.options import (
     SeedOption,
     check_out,
     complete_design,
-    say,
 )
 from phytac_design.cli.output import names_of, next_step, print_json, resumable
 from phytac_shapes.errors import DesignError
@@ -55,6 +55,12 @@ def build(
     ] = None,
     trial: Annotated[int | None, typer.Option(help="Number of that candidate.", min=0)] = None,
     seed: SeedOption = 0,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="Processes that run stages side by side; as many as cores if not given.", min=1
+        ),
+    ] = None,
     force: Annotated[
         bool,
         typer.Option(
@@ -78,6 +84,7 @@ def build(
     )
     within = tolerance is not None or budget is not None
     _refuse_both({"--scene": bool(scene), "--only": bool(only), "--tolerance or --budget": within})
+    _refuse_both({"--workers": workers is not None, "--scene": bool(scene), "--tolerance": within})
     if bool(design) == (from_study is not None) or (from_study is None) != (trial is None):
         raise DesignError(
             "design-argument-missing",
@@ -116,15 +123,22 @@ def build(
                 loaded, scene, target, accuracy=chosen, seed=seed, force=force, as_json=as_json
             )
             return
-        result = run_build(
-            loaded,
-            target,
-            accuracy=chosen,
-            only=names or None,
-            seed=seed,
-            force=force,
-            progress=say,
-        )
+        from phytac_design.cli.build_display import BuildDisplay
+        from phytac_design.core.kernels import workers as usable_cores
+        from phytac_design.study.planning.cost import stage_costs
+
+        with BuildDisplay() as display:
+            result = run_build(
+                loaded,
+                target,
+                accuracy=chosen,
+                only=names or None,
+                seed=seed,
+                force=force,
+                progress=display,
+                workers=workers or usable_cores(),
+                costs=partial(stage_costs, loaded, chosen),
+            )
     if as_json:
         summary = {
             "out": str(result.out),

@@ -98,8 +98,17 @@ class WorkerPool:
         while self._processes:
             self._processes.pop().stop()
 
-    def run(self, tasks: Iterable[Any]) -> Iterator[TaskResult]:
+    def run(
+        self, tasks: Iterable[Any], *, note: Callable[[int, Any], None] = lambda *_: None
+    ) -> Iterator[TaskResult]:
         """Results in the order in which they arrive; tasks are taken when a worker is free.
+
+        Parameters
+        ----------
+        tasks : iterable
+            None among them: no other task is ready before the next result has arrived.
+        note : callable
+            Called with the index of a task and what its worker passed to :func:`send_note`.
 
         Raises
         ------
@@ -112,11 +121,13 @@ class WorkerPool:
                     self._states.append(self.start(*self.arguments) if self.start else None)
                 yield TaskResult(index=index, value=self.work(self._states[0], task))
             return
-        queue = (_Task(*item) for item in enumerate(tasks))
+        queue = _numbered(tasks)
         retries: deque[_Task] = deque()
         try:
             while busy := self._busy(queue) or self._busy(_first(retries)):
                 for process in _ready(busy):
+                    if process.noted(note):
+                        continue
                     task, result = process.result()
                     if process.dead or process.tasks == self.tasks_per_process:
                         process.stop()
@@ -130,17 +141,39 @@ class WorkerPool:
                 process.stop()
                 self._processes.remove(process)
 
-    def _busy(self, queue: Iterator["_Task"]) -> list["_Process"]:
+    def _busy(self, queue: Iterator["_Task | None"]) -> list["_Process"]:
         """Give out tasks to free workers; all processes that have one."""
         free = [process for process in self._processes if process.task is None]
         count = self.workers - len(self._processes) + len(free)
         for _, task in zip(range(count), queue, strict=False):
+            if task is None:
+                break
             if free:
                 free.pop().give(task, self.time_limit_s)
             else:
                 self._processes.append(_Process(self.start, self.arguments, self.work))
                 self._processes[-1].give(task, self.time_limit_s)
         return [process for process in self._processes if process.task]
+
+
+def send_note(value: Any) -> None:
+    """Pass a value to the ``note`` of :meth:`WorkerPool.run`, from a task on one of its workers."""
+    _Process.own_pipe.send(_Note(value))
+
+
+@dataclass(frozen=True)
+class _Note:
+    value: Any
+
+
+def _numbered(tasks: Iterable[Any]) -> Iterator["_Task | None"]:
+    index = 0
+    for task in tasks:
+        if task is None:
+            yield None
+        else:
+            yield _Task(index, task)
+            index += 1
 
 
 def _first(queue: deque["_Task"]) -> Iterator["_Task"]:
@@ -158,6 +191,9 @@ class _Task:
 class _Process:
     """A worker process, its pipe, and the task that it works on."""
 
+    own_pipe: Connection
+    """In a worker: its pipe to the process that started it."""
+
     def __init__(
         self,
         start: Callable[..., Any] | None,
@@ -167,12 +203,19 @@ class _Process:
         context = get_context("spawn")
         self.pipe, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other, start, arguments, work))
-        with one_thread_each(THREADS):
-            self.process.start()
+        # Until it ignores Ctrl-C, see `_serve`: one that comes while it imports would print a
+        # traceback.
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            with one_thread_each(THREADS):
+                self.process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         other.close()
         self.task: _Task | None = None
         self.tasks, self.dead = 0, False
         self.limit_s = self.deadline = float("inf")
+        self._answer: Any = None
 
     def give(self, task: _Task, time_limit_s: Callable[[Any], float] | None) -> None:
         """Send a task."""
@@ -186,21 +229,33 @@ class _Process:
         with suppress(BrokenPipeError, ConnectionResetError):
             self.pipe.send(task.task)
 
+    def noted(self, note: Callable[[int, Any], None]) -> bool:
+        """Pass on a note; False if what has arrived, or is overdue, is the result."""
+        self._answer = None
+        if not self.pipe.poll():
+            return False
+        try:
+            self._answer = self.pipe.recv()
+        except (EOFError, OSError):
+            self.dead = True
+        if not isinstance(self._answer, _Note) or self.task is None:
+            return False
+        note(self.task.index, self._answer.value)
+        return True
+
     def result(self) -> tuple[_Task, TaskResult]:
-        """Result of the task, which is there or overdue."""
+        """Result of the task, which has arrived or is overdue."""
         task, self.task = self.task, None
         if task is None:
             raise RuntimeError("this process has no task")
-        if not self.pipe.poll():
-            self.dead, task.attempts = True, sys.maxsize
-            return task, TaskResult(index=task.index, lost=f"no answer within {self.limit_s:g} s")
-        try:
-            value, error = self.pipe.recv()
-        except (EOFError, OSError):
-            self.dead = True
+        if self.dead:
             self.process.join(5.0)  # for its exit code
             lost = f"its process died (exit code {self.process.exitcode}; out of memory?)"
             return task, TaskResult(index=task.index, lost=lost)
+        if self._answer is None:
+            self.dead, task.attempts = True, sys.maxsize
+            return task, TaskResult(index=task.index, lost=f"no answer within {self.limit_s:g} s")
+        value, error = self._answer
         if error is not None:
             raise error
         return task, TaskResult(index=task.index, value=value)
@@ -229,6 +284,8 @@ def _serve(
 ) -> None:
     """Do tasks until the pipe closes; end with the parent, however that ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # The parent handles Ctrl-C and ends its workers.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    _Process.own_pipe = pipe
     threading.Thread(target=_end_with_parent, daemon=True).start()
     state: Any = None
     failure: Exception | None = None

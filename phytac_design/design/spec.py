@@ -32,6 +32,14 @@ class ShapeSection(Section):
         """Build the surface that this table describes."""
         return phytac_shapes.family(self.kind)(**self.model_dump(exclude={"kind"}))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by kind and variables: the class is made at run time, see :func:`_shape_model`."""
+        return _shape_of, (self.model_dump(),)
+
+
+def _shape_of(values: dict[str, Any]) -> ShapeSection:
+    return SHAPE_MODELS[values["kind"]](**values)
+
 
 def _shape_model(kind: str, surface: type[Surface]) -> type[ShapeSection]:
     """Model of one surface family, made from the variables that its dataclass declares."""

@@ -345,7 +345,7 @@ def prune(*, limit_bytes: float, older_than_s: float = float("inf")) -> Pruned:
         dropped += 1
         freed += entry.size_bytes
         total -= entry.size_bytes
-    return Pruned(dropped=dropped, freed_bytes=freed, leftovers=_sweep(), in_use=in_use)
+    return Pruned(dropped=dropped, freed_bytes=freed, leftovers=sweep(), in_use=in_use)
 
 
 def drop(folder: Path) -> bool:
@@ -366,7 +366,7 @@ def drop(folder: Path) -> bool:
     return True
 
 
-def _sweep() -> int:
+def sweep() -> int:
     """Remove scratch folders and lock files that no running build owns."""
     root, count = cache_root(), 0
     if not root.is_dir():

@@ -8,7 +8,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,8 @@ from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
 from phytac_design.engine.cache import limit_bytes, prune
-from phytac_design.engine.stage import EXPORT, Context, Stage, array_hashes
+from phytac_design.engine.runner import GateError, StageCosts, StageRun
+from phytac_design.engine.stage import EXPORT, Context, Stage
 from phytac_design.report.provenance import package_versions
 from phytac_design.rules.check import check_design
 from phytac_design.stages import STAGES
@@ -91,8 +92,10 @@ def build(
     seed: int = 0,
     force: bool = False,
     progress: Progress = print,
+    workers: int = 1,
+    costs: Callable[[], StageCosts] | None = None,
 ) -> BuildResult:
-    """Build a design into ``out``; the same inputs give the same files.
+    """Build a design into ``out``; the same inputs give the same files, by any number of workers.
 
     Parameters
     ----------
@@ -102,6 +105,11 @@ def build(
         The stages themselves, in order, in place of ``only``.
     scene : Scene, optional
         What the build is limited to; everything by default.
+    workers : int
+        Processes that run stages side by side; 1 runs them in this one. A script that asks for
+        more must guard its own start with ``if __name__ == "__main__":``.
+    costs : callable, optional
+        Predicts the stages' costs, see :class:`phytac_design.engine.runner.StageRun`.
 
     Raises
     ------
@@ -126,6 +134,8 @@ def build(
                 force=force,
                 progress=progress,
                 keep=keep,
+                workers=workers,
+                costs=costs,
             )
         except GateError:
             if not any(out.iterdir()):
@@ -152,10 +162,6 @@ def build(
     )
 
 
-class GateError(DesignError):
-    """A stage stops the build because of its result."""
-
-
 def run_stages(
     design: Design,
     stages: Sequence[Stage],
@@ -166,10 +172,13 @@ def run_stages(
     force: bool = False,
     progress: Progress = print,
     keep: ExitStack | None = None,
+    workers: int = 1,
+    costs: Callable[[], StageCosts] | None = None,
 ) -> tuple[Context, list[str], dict[str, float]]:
-    """Bring stages, in order, into the cache; nothing is exported.
+    """Bring stages into the cache; nothing is exported.
 
-    Results are protected from eviction until this returns, or until ``keep`` is closed.
+    Results are protected from eviction until this returns, or until ``keep`` is closed. ``workers``
+    and ``costs`` are those of :func:`build`.
 
     Returns
     -------
@@ -186,6 +195,8 @@ def run_stages(
         If a stage stops the build and ``force`` is not set.
     DesignError
         If the design cannot be built.
+    NumericalError
+        If the process of a stage died twice.
     """
     context = Context(
         design=design,
@@ -194,59 +205,12 @@ def run_stages(
         scene=scene,
         progress=progress,
     )
-    keys: dict[str, str] = {}
-    ran: list[str] = []
-    timing: dict[str, float] = {}
     with ExitStack() as own:
-        for number, stage in enumerate(stages, start=1):
-            needed = {name: context.folders[name] for name in stage.depends_on}
-            key = keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
-            turn = f"[{number}/{len(stages)}] {stage.name}"
-            folder = cache.lookup(stage.name, key, report=progress)
-            while folder is None or not (keep or own).enter_context(cache.held(folder)):
-                task = StageTask(
-                    stage, replace(context, folders=needed, array_names=stage.arrays), turn
-                )
-                folder = cache.publish(stage.name, key, task, waiting=task.waiting)
-                if task.done and stage.name not in ran:
-                    ran.append(stage.name)
-            context.folders[stage.name] = folder
-            timing[stage.name] = float(cache.record(folder)["seconds"])
-            reason = stage.gate(context) if stage.gate and not force else ""
-            if reason:
-                raise GateError(
-                    "build-gate",
-                    f"{reason}; or continue anyway with --force, which marks the report",
-                )
-    return context, ran, timing
-
-
-@dataclass
-class StageTask:
-    """A stage to run, as the cache calls it; ``done`` says whether this process ran it."""
-
-    stage: Stage
-    context: Context
-    turn: str
-    done: bool = False
-
-    def __call__(self, folder: Path) -> dict[str, Any]:
-        """Run into a folder; returns the record."""
-        self.context.progress(f"{self.turn} …")
-        start = time.perf_counter()
-        self.stage.run(self.context, folder)
-        seconds = time.perf_counter() - start
-        self.done = True
-        self.context.progress(f"{self.turn} {seconds:.1f} s")
-        return {
-            "stage": self.stage.name,
-            "seconds": round(seconds, 3),
-            "arrays": array_hashes(folder),
-        }
-
-    def waiting(self) -> None:
-        """Report that another process computes the same result."""
-        self.context.progress(f"{self.turn}: waiting for another build that is making it")
+        run = StageRun(context, stages, keep=keep or own, force=force, costs=costs)
+        run.run(workers)
+    names = [stage.name for stage in stages]
+    timing = {name: run.timing_s[name] for name in names}
+    return context, [name for name in names if name in run.ran], timing
 
 
 def _claim(out: Path, design: Design, *, force: bool) -> None:

@@ -36,6 +36,7 @@ class BuildRunner:
         self._process: asyncio.subprocess.Process | None = None
         self._watch: asyncio.Task[None] | None = None
         self._lines: list[str] = []
+        self._stages: list[str] = []
         self._state: Json = {"state": "none"}
         self._number = 0
         self._start_s = 0.0
@@ -91,6 +92,7 @@ class BuildRunner:
             ) from None
         self._number += 1
         self._lines, self._stopped, self._start_s = [], False, time.monotonic()
+        self._stages = []
         self._state = {
             "state": "running",
             "number": self._number,
@@ -139,12 +141,22 @@ class BuildRunner:
     def _add_line(self, line: str) -> None:
         if line and len(self._lines) < 2000:
             self._lines.append(line)
-        # A stage's number, their count, its name, and a figure behind it if it has ended.
-        stage = re.match(r"\[(\d+)/(\d+)\] ([a-z-]+)( \d)?", line)
-        if stage:
-            ended = stage[4] is not None
-            self._state["done"] = round((int(stage[1]) - (not ended)) / max(int(stage[2]), 1), 3)
-            self._state["stage"] = stage[3]
+        # A stage's number, their count, its name, a figure behind it if it has ended, and the time
+        # left where the build predicts it.
+        stage = re.match(r"\[(\d+)/(\d+)\] ([a-z-]+)( \d)?(?:.*\(about (\d+) s left\)$)?", line)
+        if not stage:
+            return
+        ended = stage[4] is not None
+        self._stages = [name for name in self._stages if name != stage[3]] + [stage[3]] * (
+            not ended
+        )
+        done = (int(stage[1]) - (not ended)) / max(int(stage[2]), 1)
+        if stage[5]:
+            elapsed_s = time.monotonic() - self._start_s
+            done = elapsed_s / (elapsed_s + float(stage[5]))
+        # Predictions change, and stages that run side by side end in another order.
+        self._state["done"] = max(self._state["done"], round(done, 3))
+        self._state["stage"] = ", ".join(self._stages) or stage[3]
 
     async def events(self) -> AsyncIterator[Json]:
         """State and new lines, repeatedly until the build has ended."""

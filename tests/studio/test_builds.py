@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from phytac_design.studio.build_process import BuildRunner
 from phytac_design.studio.studies import studies, study_table
 from phytac_design.study.search.design_space import make_space
 from phytac_design.study.search.driver import run_study
@@ -81,6 +82,33 @@ def test_a_build_is_followed_to_its_report(client: Client, program: Path, data: 
     status, heads, page = client.ask("GET", f"files/{states[-1]['report']}")
     assert (status, page) == (200, b"<h1>Report of it</h1>")
     assert "sandbox" in {k.lower(): v for k, v in heads.items()}["content-security-policy"]
+
+
+def test_stages_side_by_side_are_shown_together_and_the_bar_never_goes_back(tmp_path: Path) -> None:
+    runner = BuildRunner(tmp_path)
+    runner._state, runner._start_s = {"done": 0.0}, time.monotonic() - 30.0
+    shown = []
+    for line in (
+        "[4/5] frames … (about 90 s left)",
+        "[1/5] shell … (about 90 s left)",
+        "frames: 3 of 80",
+        "[1/5] shell 2.0 s (about 120 s left)",
+        "[2/5] step …",
+        "[4/5] frames 9.1 s (about 10 s left)",
+        "[2/5] step 0.4 s",
+    ):
+        runner._add_line(line)
+        shown.append((runner.state()["done"], runner.state()["stage"]))
+    quarter = pytest.approx(0.25, abs=0.01)
+    assert shown == [
+        (quarter, "frames"),
+        (quarter, "frames, shell"),
+        (quarter, "frames, shell"),
+        (quarter, "frames"),
+        (quarter, "frames, step"),
+        (pytest.approx(0.75, abs=0.01), "step"),
+        (pytest.approx(0.75, abs=0.01), "step"),
+    ]
 
 
 @pytest.mark.parametrize(

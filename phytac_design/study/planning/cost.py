@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.scene import ALL_AT_ONCE, Scene
 from phytac_design.design.spec import Design
+from phytac_design.engine.runner import StageCosts
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.simulation.instance_shell import MARGIN, truth_mesh
@@ -26,7 +27,7 @@ from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE
 from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING, place_spacing_mm, rings
 from phytac_design.simulation.scenario.scene_scope import PRESSES_LEAST, Scope
 from phytac_design.stages.response_stage import SCENE_SAMPLES, samples_of
-from phytac_design.study.planning.unit_costs import PROBE_s
+from phytac_design.study.planning.unit_costs import MEMORY_MB, CPU_s, PROBE_s
 from phytac_shapes import Surface
 
 Amounts = dict[str, float]
@@ -252,6 +253,14 @@ def predict(unit_costs: UnitCosts, amounts: Mapping[str, Amounts]) -> dict[str, 
         stage: sum(unit_costs[stage].get(name, 0.0) * value for name, value in own.items())
         for stage, own in amounts.items()
     }
+
+
+def stage_costs(design: Design, accuracy: Accuracy) -> StageCosts:
+    """Predicted costs of each stage of a whole build, on this machine."""
+    amounts = features(Workload(design).counts(accuracy), accuracy, design)
+    slow = machine_factor(time.process_time)
+    seconds = {name: slow * cost for name, cost in predict(CPU_s, amounts).items()}
+    return StageCosts(seconds=seconds, memory_MB=predict(MEMORY_MB, amounts))
 
 
 def fit(rows: Mapping[str, Sequence[tuple[Amounts, float]]]) -> dict[str, dict[str, float]]:

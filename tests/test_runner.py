@@ -1,0 +1,298 @@
+"""Stages side by side: the files and errors of one after the other, and nothing left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phytac_design.core.cache_folder import cache_root
+from phytac_design.design.design_file import to_toml
+from phytac_design.engine import cache, runner
+from phytac_design.engine.runner import StageCosts, StageRun
+from phytac_design.engine.stage import Context, Stage, write_facts
+from phytac_design.stages.build import run_stages
+from phytac_shapes.errors import DesignError
+from tests.designs import COARSE, tiny
+from tests.refusals import refused
+
+
+@pytest.fixture(autouse=True)
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache."""
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def meet(context: Context, folder: Path) -> None:
+    """Wait for another process that runs this as well; the facts hold the number of this one."""
+    place = cache_root().parent / "meeting"
+    place.mkdir(exist_ok=True)
+    (place / str(os.getpid())).touch()
+    deadline = time.monotonic() + 60.0
+    while len(list(place.iterdir())) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    write_facts(folder, {"process": os.getpid()})
+
+
+def add(context: Context, folder: Path) -> None:
+    """One more than the sum of the stages before."""
+    numbers = [context.facts(name)["number"] for name in sorted(context.folders)]
+    context.progress(f"adding {len(numbers)} numbers")
+    write_facts(folder, {"number": 1 + sum(numbers)})
+
+
+def fail(context: Context, folder: Path) -> None:
+    """Fail, but not at once."""
+    (folder / "half.txt").write_text("half")
+    time.sleep(0.5)
+    raise DesignError("thing-bad", "the thing is bad (got 1); make it good")
+
+
+def fail_at_once(context: Context, folder: Path) -> None:
+    """Fail before others do."""
+    raise ValueError("a fault of the program")
+
+
+def wait(context: Context, folder: Path) -> None:
+    """Take longer than a test."""
+    (folder / "half.txt").write_text("half")
+    context.progress(f"process {os.getpid()}")
+    time.sleep(60.0)
+
+
+def die(context: Context, folder: Path) -> None:
+    """As if the system had stopped it."""
+    (folder / "half.txt").write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refusal(context: Context) -> str:
+    """Gate that stops every build."""
+    return "not good enough"
+
+
+def graph(**works: tuple[Callable[[Context, Path], None], Sequence[str]]) -> list[Stage]:
+    """Stages by name, each with what it runs and what it depends on."""
+    return [
+        Stage(name=name, design_fields=(), run=work, depends_on=tuple(needs))
+        for name, (work, needs) in works.items()
+    ]
+
+
+def run(
+    stages: list[Stage], workers: int, **options: Any
+) -> tuple[Context, list[str], dict[str, float]]:
+    """Run stages quietly."""
+    given = {"progress": lambda _: None} | options
+    return run_stages(tiny(), stages, accuracy=COARSE, seed=0, workers=workers, **given)
+
+
+def stage_run(stages: list[Stage], keep: ExitStack, costs: StageCosts, said: list[str]) -> StageRun:
+    """A run with costs that are known."""
+    context = Context(design=tiny(), accuracy=COARSE, seed=0, progress=said.append)
+    return StageRun(context, stages, keep=keep, costs=lambda: costs)
+
+
+def left_over(root: Path) -> list[Path]:
+    """Scratch folders and locks."""
+    return list(root.glob("*/.*"))
+
+
+DIAMOND = graph(a=(add, ""), b=(add, "a"), c=(add, "a"), d=(add, "bc"))
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_results_do_not_depend_on_the_workers(workers: int, root: Path) -> None:
+    said: list[str] = []
+    context, ran, timing = run(DIAMOND, workers, progress=said.append)
+    assert context.facts("d")["number"] == 5
+    assert ran == list(timing) == ["a", "b", "c", "d"]
+    assert "adding 2 numbers" in said
+    assert said[0] == "[1/4] a …"
+    assert {line.split(" 0.")[0] for line in said} >= {f"[{k + 1}/4] {'abcd'[k]}" for k in range(4)}
+    assert run(DIAMOND, workers)[1] == []
+    assert not left_over(root)
+
+
+def test_ready_stages_run_at_the_same_time_in_other_processes() -> None:
+    context, _, _ = run(graph(a=(meet, ""), b=(meet, ""), c=(meet, "a")), 2)
+    a, b, c = (context.facts(name)["process"] for name in "abc")
+    assert a != b
+    assert os.getpid() not in {a, b}
+    assert c in {a, b}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_error_is_that_of_the_first_stage_in_order_that_fails(workers: int, root: Path) -> None:
+    stages = graph(a=(add, ""), b=(fail, ""), c=(fail_at_once, ""), d=(wait, "a"))
+    with refused("thing-bad"):
+        run(stages, workers)
+    assert not left_over(root)
+    assert [path.name for path in root.glob("*/*")] == [path.name for path in root.glob("a/*")]
+    assert run(stages[:1], workers)[1] == []
+
+
+def test_an_error_of_the_program_keeps_its_type_and_names_its_line() -> None:
+    with pytest.raises(ValueError, match="a fault of the program") as caught:
+        run(graph(b=(add, ""), c=(fail_at_once, "")), 2)
+    assert any("in fail_at_once" in note for note in caught.value.__notes__)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_gate_stops_stages_that_run(workers: int, root: Path) -> None:
+    gate = Stage(name="gate", design_fields=(), run=add, gate=refusal)
+    stages = [gate, *graph(a=(wait, ""))]
+    begin = time.monotonic()
+    with refused("build-gate"):
+        run(stages, workers)
+    assert time.monotonic() - begin < 30.0
+    assert not left_over(root)
+    # From the cache it stops the build as well.
+    with refused("build-gate"):
+        run(stages, workers)
+    assert run([gate, *DIAMOND], workers, force=True)[1] == ["a", "b", "c", "d"]
+
+
+def test_a_stage_whose_process_dies_twice_is_an_error(root: Path) -> None:
+    with refused("stage-process-died") as caught:
+        run(graph(a=(add, ""), b=(die, "a"), c=(add, "a")), 2)
+    caught.match(r"b was started twice .*exit code -9")
+    assert not left_over(root)
+    assert run(graph(a=(add, "")), 2)[1] == []
+
+
+def test_ctrl_c_leaves_no_process_and_nothing_half_made(root: Path) -> None:
+    processes: list[int] = []
+
+    def stop(text: str) -> None:
+        if text.startswith("process"):
+            processes.append(int(text.split()[1]))
+            if len(processes) == 2:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(graph(a=(wait, ""), b=(wait, ""), c=(add, "")), 2, progress=stop)
+    for process in processes:
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
+    assert not left_over(root)
+
+
+SCRIPT = """
+import sys
+from tests.test_runner import graph, run, wait
+def say(text):
+    print(text, flush=True)
+if __name__ == "__main__":
+    run(graph(a=(wait, ""), b=(wait, "")), 2, progress=say)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_workers_end_with_the_build(how: signal.Signals, tmp_path: Path, root: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    path = os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, sys.path)])
+    parent = subprocess.Popen(
+        [sys.executable, str(script)],
+        env=os.environ | {"PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert parent.stdout is not None
+    processes: list[int] = []
+    while len(processes) < 2:
+        line = parent.stdout.readline()
+        assert line
+        if line.startswith("process"):
+            processes.append(int(line.split()[1]))
+    parent.send_signal(how)
+    parent.communicate(timeout=20.0)
+    assert parent.returncode == -how
+    deadline = time.monotonic() + 10.0
+    while any(Path(f"/proc/{process}").exists() for process in processes):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    # What a killed build has left is swept as soon as another one asks for it.
+    cache.prune(limit_bytes=float("inf"))
+    assert not left_over(root)
+    assert not list(root.glob("*/*"))
+
+
+def test_stages_that_do_not_fit_the_memory_together_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "available_memory_MB", lambda: 2000.0)
+    stages = graph(a=(add, ""), b=(add, ""), c=(add, ""))
+    costs = StageCosts(seconds={}, memory_MB={"a": 9000.0, "b": 900.0, "c": 600.0})
+    with ExitStack() as keep:
+        some = stage_run(stages, keep, costs, [])
+        # Alone, a stage runs whatever it needs.
+        assert some._next(stages) is stages[0]
+        some._begun["a"] = 0.0
+        assert some._next(stages) is None
+        some._begun = {"b": 0.0}
+        assert some._next(stages[1:]) is stages[2]
+        some._begun["c"] = 0.0
+        assert some._next(stages) is None
+
+
+def test_the_longest_way_to_the_end_starts_first() -> None:
+    stages = graph(a=(add, ""), b=(add, ""), c=(add, "b"))
+    costs = StageCosts(seconds={"a": 3.0, "b": 1.0, "c": 9.0}, memory_MB={})
+    with ExitStack() as keep:
+        assert stage_run(stages, keep, costs, [])._next(stages) is stages[1]
+
+
+def test_the_time_left_is_that_of_a_schedule_on_the_workers() -> None:
+    stages = graph(a=(add, ""), b=(add, ""), c=(add, "b"), d=(add, "ac"))
+    costs = StageCosts(seconds={"a": 30.0, "b": 10.0, "c": 40.0, "d": 5.0}, memory_MB={})
+    said: list[str] = []
+    with ExitStack() as keep:
+        one, two = (stage_run(stages, keep, costs, said) for _ in range(2))
+        assert one.left_s() == pytest.approx(85.0)
+        two._workers = 2
+        assert two.left_s() == pytest.approx(55.0)
+        # This machine needs half of the time: b took 5 s.
+        two.timing_s["b"] = 5.0
+        two.context.folders["b"] = Path()
+        assert two.left_s() == pytest.approx(22.5)
+        two._begun["c"] = time.monotonic() - 8.0
+        assert two.left_s() == pytest.approx(17.5, abs=0.1)
+        one.run(1)
+    assert said[0].startswith("[1/4] a … (about 85 s left)")
+
+
+@pytest.mark.slow
+def test_builds_by_one_two_and_four_workers_are_equal(tmp_path: Path) -> None:
+    """All files, each build from an empty cache."""
+    design = tmp_path / "tiny.toml"
+    design.write_text(to_toml(tiny()))
+    found = []
+    for workers in (1, 2, 4):
+        out = tmp_path / f"out{workers}"
+        words = f"build {design} --accuracy draft --only compare,shell,mesh,response,resolution"
+        done = subprocess.run(
+            [
+                *[sys.executable, "-m", "phytac_design", *words.split(), "--json"],
+                *["--workers", str(workers), "--out", str(out)],
+            ],
+            env=os.environ | {"PHYTAC_CACHE": str(tmp_path / f"cache{workers}")},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert len(json.loads(done.stdout)["ran"]) == 6
+        assert len([line for line in done.stderr.splitlines() if "s left)" in line]) == 12
+        manifest = json.loads((out / "manifest.json").read_text())
+        found.append({item["path"]: item["sha256"] for item in manifest["files"]})
+    assert len(found[0]) > 8
+    assert found[0] == found[1] == found[2]
