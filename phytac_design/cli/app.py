@@ -36,6 +36,7 @@ from phytac_design.cli import (
     switch_command,
     tradeoff_command,
     train_command,
+    watch_command,
 )
 from phytac_design.cli.options import JsonOption, say
 from phytac_design.cli.output import print_json
@@ -96,6 +97,7 @@ PANELS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "Make": (
         build_command.build,
+        watch_command.watch,
         mechanics_commands.press,
         mechanics_commands.mesh,
         switch_command.switch,

@@ -27,6 +27,7 @@ RUN = {
 """Commands that run here if the fixture ``shop`` has their files; all others are parsed only."""
 PARSED = {
     "build": "minutes; tests/test_build.py, tests/test_cli_build.py",
+    "watch": "runs until Ctrl-C; tests/test_cli_watch.py",
     "switch": "solves a bowl, a quarter of a minute; tests/mechanics/switch",
     "compare": "needs two whole builds; tests/report",
     "studio": "needs a browser; tests/studio",
