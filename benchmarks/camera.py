@@ -33,7 +33,7 @@ from phytac_design.engine.stage import Context
 from phytac_design.layout.heights_along import along_mm, middle_mm
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.pressed_scene import PressedScene
-from phytac_design.stages.frames_stage import FrameContacts, draw_frame_contacts
+from phytac_design.stages.renders_stage import FrameContacts, draw_frame_contacts
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 from phytac_shapes.errors import PhytacError
 

@@ -22,7 +22,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.simulation.contacts import Contacts, draw_contacts, switch_states
-from phytac_design.stages.frames_stage import FrameContacts, draw_frame_contacts, large_motion
+from phytac_design.stages.renders_stage import FrameContacts, draw_frame_contacts, large_motion
 from phytac_design.stages.response_stage import truth_model
 from phytac_shapes.arrays import FloatArray
 
@@ -37,7 +37,7 @@ class DemoBench(Bench):
         self.context = mechanics(design, "standard")
         self.bundle = by_design(self.context)
         demo = draw_frame_contacts(replace(self.context, seed=0))
-        self.contacts_each = int(demo.contacts.counts[demo.example])
+        self.contacts_each = int(demo.contacts.counts[demo.switching.example])
         contacts = self._like(frames)
         markers = self.context.markers.count
         self.pressed = FrameContacts(

@@ -26,7 +26,7 @@ from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.linear_response import motion_responses, superpose
 from phytac_design.stages.build import build, copy_of
-from phytac_design.stages.frames_stage import FrameContacts, camera_scenes, render_sample
+from phytac_design.stages.renders_stage import FrameContacts, camera_scenes, noisy, render_sample
 from phytac_design.stages.response_stage import cell_radius_mm
 from phytac_shapes import REGISTRY
 from tests.designs import DRAWN, drawn
@@ -119,9 +119,11 @@ def through_every_room(design: Design, out: Path) -> None:
     shown = np.linalg.norm(bundle.model.compliance_px, axis=0)
     marker = int(np.argmax(np.where(bundle.tips.readable, shown, 0.0)))
     pressed = one_press(context, marker)
-    rest = rest_positions(bundle, render_sample(context, camera_scenes(context), pressed, None))
-    frame = render_sample(context, camera_scenes(context), pressed, 0)
-    measured = measure_frame(bundle, frame, rest_px=rest)
+    rest, frame = (
+        noisy(context, render_sample(context, camera_scenes(context), pressed, index), index)
+        for index in (None, 0)
+    )
+    measured = measure_frame(bundle, frame, rest_px=rest_positions(bundle, rest))
     on = pressed.switching.bits[0]
     assert on[marker]
     # Switches whose red hardly changes when they turn on may be missed, but none is invented.

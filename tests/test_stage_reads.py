@@ -205,20 +205,20 @@ CHANGES: dict[str, tuple[dict[str, Any], set[str]]] = {
     # A marker's image moves as its paint shows: a little otherwise in another colour.
     "colours": (
         {"layout": {"colours": ["green", "blue"]}},
-        {"views", "underload", "decoder", "frames", "places", "resolution", "response", "twin"},
+        {"views", "underload", "decoder", "renders", "frames"} | MECHANICS,
     ),
     "camera": (
         {"camera": {"stand_off_mm": 40.0}},
-        {"views", "underload", "decoder", "frames"} | MECHANICS,
+        {"views", "underload", "decoder", "renders", "frames"} | MECHANICS,
     ),
-    "threshold": ({"switch": {"threshold_N": 0.55}}, {"twin", "decoder", "frames"}),
+    "threshold": ({"switch": {"threshold_N": 0.55}}, {"twin", "decoder", "renders", "frames"}),
     "resin": (
         {"material": {"modulus_MPa": 1800.0}},
-        {"underload", "decoder", "frames"} | MECHANICS,
+        {"underload", "decoder", "renders", "frames"} | MECHANICS,
     ),
     "one height": (
         {"layout": {"height_far_mm": 4.2}},
-        {"views", "underload", "decoder", "frames"} | MECHANICS,
+        {"views", "underload", "decoder", "renders", "frames"} | MECHANICS,
     ),
     "rubber, mold, print rules, hardware": (
         {

@@ -16,13 +16,16 @@ from phytac_design.cli.app import app
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
+from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.stages.build import build
-from phytac_design.stages.frames_stage import (
+from phytac_design.stages.renders_stage import (
     FrameContacts,
     camera_scenes,
     draw_frame_contacts,
+    noisy,
     render_sample,
 )
+from phytac_shapes.arrays import ImageArray
 from tests.designs import of_shape
 from tests.refusals import refused
 
@@ -107,16 +110,21 @@ def presses(design: Design, count: int) -> tuple[Context, FrameContacts]:
     return context, draw_frame_contacts(context)
 
 
+def sample(
+    context: Context, scenes: list[PressedScene], pressed: FrameContacts, index: int | None
+) -> tuple[ImageArray, ...]:
+    """Noisy frame of each camera."""
+    return noisy(context, render_sample(context, scenes, pressed, index), index)
+
+
 def decoded(bundle: Bundle, design: Design, count: int) -> tuple[float, float, int]:
     """Mean error and mean force (N) of all forces in a frame, and switches read wrongly."""
     context, pressed = presses(design, count)
     scenes = camera_scenes(context)
-    rest = rest_positions(bundle, render_sample(context, scenes, pressed, None))
+    rest = rest_positions(bundle, sample(context, scenes, pressed, None))
     off, force, wrong = [], [], 0
     for index, bits in enumerate(pressed.switching.bits):
-        measured = measure_frame(
-            bundle, render_sample(context, camera_scenes(context), pressed, index), rest_px=rest
-        )
+        measured = measure_frame(bundle, sample(context, scenes, pressed, index), rest_px=rest)
         truth = pressed.switching.receptor_force_N[index]
         off.append(abs(measured.forces_N(bundle, "koi_inverse").sum() - truth.sum()))
         force.append(truth.sum())
@@ -155,7 +163,7 @@ def test_wrong_frames_are_rejected(built: dict[str, Path], pick: Any, code: str)
 def test_one_camera_takes_one_frame(built: dict[str, Path]) -> None:
     bundle = load_bundle(built["near"] / "decoder")
     context, pressed = presses(cylinder("near"), 1)
-    (frame,) = render_sample(context, camera_scenes(context), pressed, 0)
+    (frame,) = sample(context, camera_scenes(context), pressed, 0)
     alone, listed = measure_frame(bundle, frame), measure_frame(bundle, [frame])
     np.testing.assert_array_equal(alone.shift_px, listed.shift_px)
     with refused("camera-count"):

@@ -94,12 +94,13 @@ def render_light(
     # A finer image takes all samples of a lattice at once; the rays of a bent one are its pixels'.
     finer = camera if bent else _finer(camera, side)
     lattice = sample_lattice(side) if bent else np.zeros((1, 2))
-    view = None
+    view, extent = None, (np.zeros(0), np.zeros(0))
     for offset, point in zip(sample_offsets(count) / side, points, strict=True):
         if view is None or lens_mm is not None:
             view = project_scene(through_lens(scene, camera, point, focus_mm), finer)
+            extent = row_extent(view)
         for place in lattice:
-            _look(view, finer, offset + place, rows, total)
+            _look(view, extent, finer, offset + place, rows, total)
     total /= np.float32(samples)
     return total
 
@@ -142,8 +143,16 @@ def _finer(camera: Camera, side: int) -> Camera:
     )
 
 
+def row_extent(view: View) -> tuple[FloatArray, FloatArray]:
+    """First and last row of the image that each piece may reach, px."""
+    a, b, c = view.image[:, :, 1].T
+    low = np.minimum(np.minimum(a, b), c) - view.bulge
+    return low, np.maximum(np.maximum(a, b), c) + view.bulge
+
+
 def _look(
     view: View,
+    extent: tuple[FloatArray, FloatArray],
     camera: Camera,
     offset: FloatArray,
     light: NDArray[np.float32],
@@ -151,12 +160,11 @@ def _look(
 ) -> None:
     """Add what every pixel of a camera, as fine as the image or finer, sees to ``total``.
 
-    ``offset`` (2,) is in pixels of ``total``.
+    ``extent`` is that of :func:`row_extent`; ``offset`` (2,) is in pixels of ``total``.
     """
     side = camera.height_px // len(total)
     x, y = side * float(offset[0]), side * float(offset[1])
-    low = view.image[:, :, 1].min(axis=1) - view.bulge
-    high = view.image[:, :, 1].max(axis=1) + view.bulge
+    low, high = extent
 
     def band(first: int, last: int) -> None:
         top, bottom = side * first, side * last

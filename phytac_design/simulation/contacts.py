@@ -109,6 +109,11 @@ class Switching:
     receptor_force_N: FloatArray
     tripped: BoolArray
 
+    @property
+    def example(self) -> int:
+        """The sample with the most switches on."""
+        return int(np.argmax(self.bits.sum(axis=1)))
+
 
 def rig_jitter_mm(radius_min_mm: float) -> float:
     """Distance within which a rig hits a receptor, along and around: 1 mm.

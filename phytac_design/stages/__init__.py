@@ -11,6 +11,7 @@ from phytac_design.stages.mesh_stage import MESH
 from phytac_design.stages.mold_stage import MOLD
 from phytac_design.stages.places_stage import PLACES
 from phytac_design.stages.printing_stage import PRINTING
+from phytac_design.stages.renders_stage import RENDERS
 from phytac_design.stages.report_stage import REPORT
 from phytac_design.stages.resolution_stage import RESOLUTION
 from phytac_design.stages.response_stage import RESPONSE, TWIN
@@ -36,6 +37,7 @@ STAGES: tuple[Stage, ...] = (
     PLACES,
     TWIN,
     DECODER,
+    RENDERS,
     FRAMES,
     REPORT,
 )

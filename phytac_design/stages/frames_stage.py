@@ -1,7 +1,6 @@
-"""The whole way through images: press, render, find, decode; and example frames for the user."""
+"""The whole way through images: find markers in renders, decode; and frames for the user."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -10,44 +9,15 @@ import numpy as np
 
 from phytac_decoder.io.bundle import load_bundle
 from phytac_decoder.pipeline.decode import measure_frame, rest_positions
-from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.layout.heights_along import along_mm, middle_mm
-from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
-from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
-from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_design.optics.frame_renderer import render_frame
-from phytac_design.optics.pressed_scene import PressedScene
-from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
+from phytac_design.simulation.contacts import Switching
 from phytac_design.simulation.force_errors import score_contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
-from phytac_design.simulation.linear_response import motion_responses, superpose
-from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-from phytac_design.simulation.scenario.scene_scope import scope_of
-from phytac_design.stages.response_stage import truth_model
+from phytac_design.stages.renders_stage import frame_contacts, noisy, rendered
 from phytac_design.stages.views_stage import write_image
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrameContacts:
-    """Contacts of all frames, what they trip, and how every marker moves, (samples, n, 6).
-
-    ``shown`` (n, 6) is how a sensor would move in the example: with large displacements, where the
-    decoder's tables know of them.
-    """
-
-    contacts: Contacts
-    switching: Switching
-    motion: FloatArray
-    shown: FloatArray | None = None
-
-    @property
-    def example(self) -> int:
-        """The sample with the most switches on."""
-        return int(np.argmax(self.switching.bits.sum(axis=1)))
 
 
 @dataclass(kw_only=True)
@@ -61,102 +31,34 @@ class DecodedFrames:
     rejected: list[str] = field(default_factory=list)
 
 
-def draw_frame_contacts(context: Context) -> FrameContacts:
-    """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
-    rng = np.random.default_rng([context.seed, 2])
-    scope = scope_of(context)
-    contacts = draw_contacts(
-        context.sensor,
-        samples=context.accuracy.frames,
-        rng=rng,
-        most=context.scene.at_once if context.scene else ALL_AT_ONCE,
-        inside=scope.holds if scope else None,
-    )
-    mesh, model = truth_model(context)
-    responses = motion_responses(
-        model, mesh, context.surface, context.markers, uv=contacts.uv, radius_mm=contacts.radius_mm
-    )
-    switching = switch_states(context.sensor, contacts)
-    motion = superpose(responses, contacts)
-    pressed = FrameContacts(contacts=contacts, switching=switching, motion=motion)
-    if context.accuracy.place_orders == 1:
-        return pressed
-    example = contacts.of(pressed.example)
-    return replace(pressed, shown=large_motion(context, mesh, model, example))
-
-
-def large_motion(
-    context: Context, mesh: ShellMesh, model: ShellModel, contacts: Contacts
-) -> FloatArray | None:
-    """Motion (n, 6) under the contacts of one sample by large displacements; None without one."""
-    receptor, surface, uv = context.design.receptor, context.surface, context.markers.uv
-    holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
-    unit = indentation_loads(mesh, surface, contacts, holes=holes)
-    motion = QuasiNewtonSolver(model).solve(np.asarray(unit @ contacts.force_N).ravel()).motion
-    if motion is None:
-        return None
-    return ReceptorKinematics(mesh, surface, uv, receptor.diameter_outer_mm / 2.0).large(motion)
-
-
-def camera_scenes(context: Context) -> list[PressedScene]:
-    """Scenes of the sensor before each of its cameras."""
-    return [PressedScene(context.sensor, camera) for camera in context.sensor.cameras]
-
-
-def render_sample(
-    context: Context,
-    scenes: Sequence[PressedScene],
-    pressed: FrameContacts,
-    index: int | None,
-    motion: FloatArray | None = None,
-) -> tuple[ImageArray, ...]:
-    """Noisy frame of each camera of one sample, or of the unloaded sensor (None).
-
-    ``scenes`` are those of :func:`camera_scenes`; ``motion`` (n, 6) replaces the sample's own.
-    """
-    bits = np.zeros(context.markers.count, dtype=np.bool_)
-    still = np.zeros((context.markers.count, 6))
-    if index is not None:
-        bits = pressed.switching.bits[index]
-        still = pressed.motion[index] if motion is None else motion
-    rng = np.random.default_rng([context.seed, 3, 0 if index is None else index + 1])
-    noise = context.design.camera.noise_pixel
-    return tuple(
-        render_frame(scene.scene(still, bits), camera, noise_std=noise, rng=rng)
-        for scene, camera in zip(scenes, context.sensor.cameras, strict=True)
-    )
-
-
 def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> None:
     """Write ``views/NAME.png``, and ``views/NAME_far.png`` of a second camera."""
     for frame, mark in zip(frames, CAMERA_SUFFIXES, strict=False):
         write_image(export_path(folder, f"views/{name}{mark}.png"), frame)
 
 
-def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> DecodedFrames:
-    """Render and decode every sample; write the unloaded frame and the example."""
+def decode_all(context: Context, folder: Path, switching: Switching) -> DecodedFrames:
+    """Decode every sample's frame; write the unloaded frame and the example."""
     bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
     # All frames but the example are of a linear shell.
     bundle = replace(bundle, model=bundle.model.linear)
-    bits = pressed.switching.bits
+    bits, example = switching.bits, switching.example
     tally = DecodedFrames(forces_N={name: np.zeros(bits.shape) for name in bundle.model.estimators})
-    scenes = camera_scenes(context)
-    rest_frames = render_sample(context, scenes, pressed, None)
+    rest_frames = noisy(context, rendered(context, "rest"), None)
     write_frames(folder, "frame_rest", rest_frames)
     rest_px = bundle.rest_px
     try:
         rest_px = rest_positions(bundle, rest_frames)
     except InputError as error:  # only a forced build of markers that cannot be seen gets here
         tally.rejected.append(str(error))
-    truth = pressed.switching.receptor_force_N[pressed.example]
-    example = render_sample(context, scenes, pressed, pressed.example, pressed.shown)
-    write_frames(folder, "frame_pressed", example)
+    truth = switching.receptor_force_N[example]
+    write_frames(folder, "frame_pressed", noisy(context, rendered(context, "example"), example))
     export_path(folder, "views/frame_pressed.json").write_text(
         json.dumps({str(i): round(float(truth[i]), 4) for i in np.flatnonzero(truth)})
     )
     for index, on in enumerate(bits):
         context.progress(f"frames: {index + 1} of {len(bits)}")
-        frames = render_sample(context, scenes, pressed, index)
+        frames = noisy(context, rendered(context, str(index)), index)
         try:
             measured = measure_frame(bundle, frames, rest_px=rest_px)
         except InputError as error:
@@ -174,9 +76,8 @@ def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> Decode
 
 def run(context: Context, folder: Path) -> None:
     """Decode rendered frames of one to five contacts each and evaluate the forces."""
-    pressed = draw_frame_contacts(context)
-    tally = decode_all(context, folder, pressed)
-    contacts, switching = pressed.contacts, pressed.switching
+    contacts, switching = frame_contacts(context)
+    tally = decode_all(context, folder, switching)
     height = along_mm(context.surface, contacts.uv)
     scores: dict[str, Any] = {
         name: score_contacts(
@@ -204,9 +105,9 @@ def run(context: Context, folder: Path) -> None:
 
 FRAMES = Stage(
     name="frames",
-    design_fields=("mechanics", "markers", "bodies", "trips", "training", "camera.noise_pixel"),
-    settings=("truth_refine", "frames", "place_orders"),
-    depends_on=("decoder",),
+    design_fields=("markers", "trips", "training", "camera.noise_pixel"),
+    settings=("frames",),
+    depends_on=("decoder", "renders"),
     seeded=True,
     scene=("regions", "reach_mm", "at_once"),
     run=run,

@@ -138,6 +138,7 @@ REPORT = Stage(
         "places",
         "twin",
         "decoder",
+        "renders",
         "frames",
     ),
     run=run,

@@ -13,7 +13,7 @@ from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import RenderScene, paint_owner
 from phytac_design.simulation.contacts import Contacts, switch_states
-from phytac_design.stages.frames_stage import FrameContacts, camera_scenes, render_sample
+from phytac_design.stages.renders_stage import FrameContacts, camera_scenes, render_sample
 from phytac_shapes.arrays import FloatArray, IntArray
 
 RIG = Sensor(load_design(str(Path(__file__).parents[2] / "examples/rig/rig.toml")))

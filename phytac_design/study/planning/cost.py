@@ -235,13 +235,19 @@ def features(
             "samples": counts.samples_all * n / 100.0,
             "trained": trained * counts.samples / 100.0,
         },
-        "frames": {
+        "renders": {
             "one": 1.0,
             "frames": counts.frames,
             "pixels": counts.frames * pixels,
             "markers": counts.frames * n / 10.0,
             "nodes": truth,
             "solves": counts.frames * truth / 10.0,
+        },
+        "frames": {
+            "one": 1.0,
+            "frames": counts.frames,
+            "pixels": counts.frames * pixels,
+            "markers": counts.frames * n / 10.0,
         },
         "report": {"one": 1.0, "markers": n},
     }

@@ -34,6 +34,7 @@ LOST = {
     "places": "no `auto`: koi_inverse errs by about 8 % of a force in the middle, auto by 2 %",
     "twin": "no simulated data",
     "decoder": "no forces",
+    "renders": "no frames to decode",
     "frames": "markers that the detector misses are not known",
     "report": "no report page",
 }
@@ -239,6 +240,8 @@ def how_of(name: str, resolved: Resolved, counts: Counts) -> str:
         "twin": f"{counts.contacts} contacts, {counts.twin_loads} loads, {counts.truth_nodes} "
         f"nodes{local}",
         "decoder": f"{played}, {networks}, {scene.estimator}",
+        "renders": f"{counts.frames} frames of {counts.megapixels:.1f} Mpx, {counts.truth_nodes} "
+        f"nodes{local}",
         "frames": f"{counts.frames} frames of {counts.megapixels:.1f} Mpx",
     }
     return texts.get(name, f"{counts.markers} receptors")

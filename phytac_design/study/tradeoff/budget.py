@@ -26,7 +26,7 @@ GROUPS = (
     ("underload",),
     ("shell", "step", "hardware", "mold", "kit", "printing", "bench"),
     ("twin", "decoder"),
-    ("frames", "report"),
+    ("renders", "frames", "report"),
 )
 """Stages that run together; their settings are fixed before each group."""
 

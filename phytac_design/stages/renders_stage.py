@@ -1,0 +1,146 @@
+"""Renders of the pressed sensor, without noise: no decoder is needed for them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from phytac_decoder.io.recorded_frames import read_image
+from phytac_design.design.scene import ALL_AT_ONCE
+from phytac_design.engine.stage import Context, Stage, write_facts
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
+from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
+from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.optics.frame_renderer import add_noise, render_frame
+from phytac_design.optics.pressed_scene import PressedScene
+from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
+from phytac_design.simulation.linear_response import motion_responses, superpose
+from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
+from phytac_design.simulation.scenario.scene_scope import scope_of
+from phytac_design.stages.response_stage import truth_model
+from phytac_design.stages.views_stage import write_image
+from phytac_shapes.arrays import FloatArray, ImageArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameContacts:
+    """Contacts of all frames, what they trip, and how every marker moves, (samples, n, 6).
+
+    ``shown`` (n, 6) is how a sensor would move in the example: with large displacements, where the
+    decoder's tables know of them.
+    """
+
+    contacts: Contacts
+    switching: Switching
+    motion: FloatArray
+    shown: FloatArray | None = None
+
+
+def frame_contacts(context: Context) -> tuple[Contacts, Switching]:
+    """Draw contacts of one to five at once, and what they trip."""
+    scope = scope_of(context)
+    contacts = draw_contacts(
+        context.sensor,
+        samples=context.accuracy.frames,
+        rng=np.random.default_rng([context.seed, 2]),
+        most=context.scene.at_once if context.scene else ALL_AT_ONCE,
+        inside=scope.holds if scope else None,
+    )
+    return contacts, switch_states(context.sensor, contacts)
+
+
+def draw_frame_contacts(context: Context) -> FrameContacts:
+    """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
+    contacts, switching = frame_contacts(context)
+    mesh, model = truth_model(context)
+    responses = motion_responses(
+        model, mesh, context.surface, context.markers, uv=contacts.uv, radius_mm=contacts.radius_mm
+    )
+    motion = superpose(responses, contacts)
+    pressed = FrameContacts(contacts=contacts, switching=switching, motion=motion)
+    if context.accuracy.place_orders == 1:
+        return pressed
+    example = contacts.of(pressed.switching.example)
+    return replace(pressed, shown=large_motion(context, mesh, model, example))
+
+
+def large_motion(
+    context: Context, mesh: ShellMesh, model: ShellModel, contacts: Contacts
+) -> FloatArray | None:
+    """Motion (n, 6) under the contacts of one sample by large displacements; None without one."""
+    receptor, surface, uv = context.design.receptor, context.surface, context.markers.uv
+    holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
+    unit = indentation_loads(mesh, surface, contacts, holes=holes)
+    motion = QuasiNewtonSolver(model).solve(np.asarray(unit @ contacts.force_N).ravel()).motion
+    if motion is None:
+        return None
+    return ReceptorKinematics(mesh, surface, uv, receptor.diameter_outer_mm / 2.0).large(motion)
+
+
+def camera_scenes(context: Context) -> list[PressedScene]:
+    """Scenes of the sensor before each of its cameras."""
+    return [PressedScene(context.sensor, camera) for camera in context.sensor.cameras]
+
+
+def render_sample(
+    context: Context,
+    scenes: Sequence[PressedScene],
+    pressed: FrameContacts,
+    index: int | None,
+    motion: FloatArray | None = None,
+) -> tuple[ImageArray, ...]:
+    """Frame of each camera, without noise, of one sample or of the unloaded sensor (None).
+
+    ``scenes`` are those of :func:`camera_scenes`; ``motion`` (n, 6) replaces the sample's own.
+    """
+    bits = np.zeros(context.markers.count, dtype=np.bool_)
+    still = np.zeros((context.markers.count, 6))
+    if index is not None:
+        bits = pressed.switching.bits[index]
+        still = pressed.motion[index] if motion is None else motion
+    return tuple(
+        render_frame(scene.scene(still, bits), camera)
+        for scene, camera in zip(scenes, context.sensor.cameras, strict=True)
+    )
+
+
+def noisy(
+    context: Context, frames: Sequence[ImageArray], index: int | None
+) -> tuple[ImageArray, ...]:
+    """Frames of :func:`render_sample` with the sensor noise of that sample."""
+    rng = np.random.default_rng([context.seed, 3, 0 if index is None else index + 1])
+    noise = context.design.camera.noise_pixel
+    return tuple(add_noise(frame, noise, rng) if noise > 0.0 else frame for frame in frames)
+
+
+def run(context: Context, folder: Path) -> None:
+    """Write each sample's frame of each camera, the unloaded sensor's and the example's."""
+    pressed, scenes = draw_frame_contacts(context), camera_scenes(context)
+    jobs: list[tuple[str, int | None, FloatArray | None]] = [
+        ("rest", None, None),
+        ("example", pressed.switching.example, pressed.shown),
+        *((str(index), index, None) for index in range(len(pressed.motion))),
+    ]
+    for number, (name, index, motion) in enumerate(jobs, start=1):
+        context.progress(f"renders: {number} of {len(jobs)}")
+        for camera, frame in enumerate(render_sample(context, scenes, pressed, index, motion)):
+            write_image(folder / f"{name}_{camera}.png", frame)
+    write_facts(folder, {"renders": len(jobs) * len(scenes)})
+
+
+def rendered(context: Context, name: str) -> tuple[ImageArray, ...]:
+    """Frames that the stage has rendered: ``rest``, ``example``, or of a sample by its number."""
+    files = sorted(context.folders["renders"].glob(f"{name}_*.png"))
+    return tuple(read_image(path) for path in files)
+
+
+RENDERS = Stage(
+    name="renders",
+    design_fields=("mechanics", "markers", "bodies", "trips", "training"),
+    settings=("truth_refine", "frames", "place_orders"),
+    seeded=True,
+    scene=("regions", "reach_mm", "at_once"),
+    run=run,
+)
