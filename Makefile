@@ -1,6 +1,6 @@
 # `make build` sets everything up and builds the published sensor; `make test` sets everything up and
-# tests; `make check` is the fast lane for editing. All are idempotent. Any Python from 3.11 on:
-# PYTHON=python3.13 make test.
+# tests; `make check` is the fast lane for editing; `make docs` builds the documentation into site/.
+# All are idempotent. Any Python from 3.11 on: PYTHON=python3.13 make test.
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3.14 || echo python3)
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -11,7 +11,7 @@ LOCKED := $(shell $(PYTHON) -c 'import sys; print("-r requirements.lock" if sys.
 # every process compiles its libraries again, which costs a second or three each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: build test check pytest fast lint types contracts system setup clean
+.PHONY: build test check docs pytest fast lint types contracts system setup clean
 
 build: setup
 	$(BIN)/phytac build cylinder60 --out exports/cylinder60
@@ -22,6 +22,10 @@ test: setup lint contracts
 
 check: setup lint contracts
 	@$(MAKE) -j2 --no-print-directory types fast
+
+docs: setup
+	$(BIN)/python -m tools.build_site
+	@echo "open site/index.html"
 
 pytest: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal

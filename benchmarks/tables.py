@@ -111,7 +111,10 @@ def read() -> dict[str, dict[str, Any]]:
 
 def page(results: dict[str, dict[str, Any]]) -> str:
     """Whole verification page."""
-    parts = [INTRODUCTION]
+    missed = [
+        line(row) for data in results.values() for row in data["rows"] if row.get("holds") is False
+    ]
+    parts = [INTRODUCTION, f"\n## Missed targets\n\n{HEAD}", "\n".join(missed), "\n"]
     for name, data in results.items():
         machine = data["machine"]
         parts.append(

@@ -343,6 +343,8 @@ def load_bundle(
 ) -> Bundle:
     """Read a bundle; check its version, its sizes and that every number is finite.
 
+    Files above 64 MiB (JSON) and 8 GiB are rejected; that of a thousand markers has about 100 MB.
+
     Parameters
     ----------
     folder : Path
@@ -352,8 +354,6 @@ def load_bundle(
     stiffness_change : float
         How much the wall's stiffness may have changed since the decoder was trained: a relative
         standard deviation, which forces then have at least.
-
-    Files above 64 MiB (JSON) and 8 GiB are rejected; that of a thousand markers has about 100 MB.
 
     Raises
     ------

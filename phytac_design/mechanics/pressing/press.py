@@ -120,9 +120,9 @@ def press(
 
     Parameters
     ----------
-    design, surface, markers : Design, Surface, Markers
-        The sensor.
-    place : Place
+    sensor : Sensor
+        The design with its surface and markers.
+    place : ContactPatch
         Where, how wide, how hard.
     theory : str
         ``linear``, ``large``, or ``auto``: large displacements where linear theory is estimated to
