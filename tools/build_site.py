@@ -30,6 +30,8 @@ from phytac_design.design.spec import Design
 
 ROOT = Path(__file__).parents[1]
 CONFIG = ROOT / "docs" / "zensical.toml"
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+"""A control sequence of terminals."""
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[([](.*?)\\[)\]]</\1>', re.DOTALL)
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 """A link of Markdown: what is before its target, the path, and the rest with the anchor."""
@@ -111,7 +113,8 @@ def design_page() -> str:
         parts.append(fields_table(section))
         for name, field in section["properties"].items():
             if name != "shape" and "$ref" in (item := field.get("items", {})):
-                add(f"{title} `[[{name}]]`", level + 1, tables_of[item["$ref"].split("/")[-1]])
+                inner = f"`[[{title.strip('`[]')}.{name}]]`"
+                add(inner, level + 1, tables_of[item["$ref"].split("/")[-1]])
 
     for name, field in schema["properties"].items():
         kinds = field.get("discriminator") or field.get("items", {}).get("discriminator")
@@ -240,7 +243,7 @@ def build_site(out: Path) -> None:
         (work / "zensical.toml").write_text(CONFIG.read_text("utf-8") + sources, "utf-8")
         words = [sys.executable, "-m", "zensical", "build", "--strict"]
         done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=False)
-        said = done.stdout + done.stderr
+        said = COLOUR.sub("", done.stdout + done.stderr)
         # Docstrings that cannot be read are reported, and do not count as issues.
         if done.returncode or "griffe: " in said:
             sys.exit(f"{said}\nerror: the site has broken links, pages or docstrings")
