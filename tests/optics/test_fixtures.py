@@ -191,7 +191,7 @@ def test_every_stage_that_draws_the_light_bar_draws_fixtures() -> None:
     design = load_design("cylinder60")
     reads = {stage.name: set(fields_of(design, stage.design_fields)) for stage in STAGES}
     fixtures = {name for name, fields in reads.items() if "fixtures" in fields}
-    assert {"views", "compare", "underload", "frames"} <= fixtures
+    assert {"views", "compare", "underload", "renders"} <= fixtures
     for stage in STAGES:
         # The others that read the light ask where the camera stands, or where the bar is held.
         if "build_scene" in inspect.getsource(sys.modules[stage.run.__module__]):

@@ -240,7 +240,9 @@ def _quantiles(
     """
     fine = np.linspace(at_mm[0], at_mm[-1], FINE * (len(at_mm) - 1) + 1)
     density, force, sd = (np.interp(fine, at_mm, y) for y in (log_density, force_N, sd_N))
-    value = (force[:, None] + sd[:, None] * _NORMAL).ravel()
+    value = force[:, None] + sd[:, None] * _NORMAL
+    # The least force of a fit.
+    value = np.maximum(value, contact_fit.SETTINGS.force_min_N).ravel()
     weight = np.repeat(np.exp(density - density.max()), len(_NORMAL))
     order = np.argsort(value)
     share = np.cumsum(weight[order]) / weight.sum()
