@@ -101,7 +101,7 @@ def one_press(context: Context, marker: int) -> FrameContacts:
     )
 
 
-def through_every_room(design: Design, out: Path) -> None:
+def through_every_stage(design: Design, out: Path) -> None:
     built = build(
         design,
         out,
@@ -142,8 +142,8 @@ def through_every_room(design: Design, out: Path) -> None:
 
 
 @every_family
-def test_a_drawn_design_goes_through_every_room(kind: str, tmp_path: Path) -> None:
+def test_a_drawn_design_goes_through_every_stage(kind: str, tmp_path: Path) -> None:
     """One design of each family, always the same one of few markers: whole builds are slow."""
     design = drawn(kind, 2)
     half = {"width_px": 648, "height_px": 486, "focal_px": 0.75 * design.camera.focal_px}
-    through_every_room(copy_of(design, camera=half), tmp_path / kind)
+    through_every_stage(copy_of(design, camera=half), tmp_path / kind)

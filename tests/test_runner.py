@@ -272,12 +272,12 @@ def test_the_time_left_is_that_of_a_schedule_on_the_workers() -> None:
     assert said[0].startswith("[1/4] a … (about 85 s left)")
 
 
-def test_builds_by_one_two_and_four_workers_are_equal(tmp_path: Path) -> None:
+def test_builds_by_one_and_four_workers_are_equal(tmp_path: Path) -> None:
     """All files, each build from an empty cache."""
     design = tmp_path / "tiny.toml"
     design.write_text(to_toml(tiny()))
     found = []
-    for workers in (1, 2, 4):
+    for workers in (1, 4):
         out = tmp_path / f"out{workers}"
         words = f"build {design} --accuracy draft --only compare,shell,mesh,response,resolution"
         done = subprocess.run(
@@ -295,4 +295,4 @@ def test_builds_by_one_two_and_four_workers_are_equal(tmp_path: Path) -> None:
         manifest = json.loads((out / "manifest.json").read_text())
         found.append({item["path"]: item["sha256"] for item in manifest["files"]})
     assert len(found[0]) > 8
-    assert found[0] == found[1] == found[2]
+    assert found[0] == found[1]
