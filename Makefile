@@ -11,7 +11,7 @@ LOCKED := $(shell $(PYTHON) -c 'import sys; print("-r requirements.lock" if sys.
 # every process compiles its libraries again, which costs a second or three each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: build test check docs pytest fast lint types contracts system setup clean
+.PHONY: benchmarks build test check docs pytest fast lint types contracts system setup clean
 
 build: setup
 	$(BIN)/phytac build cylinder60 --out exports/cylinder60
@@ -26,6 +26,10 @@ check: setup lint contracts
 docs: setup
 	$(BIN)/python -m tools.build_site
 	@echo "open site/index.html"
+
+# Hours; a run that was stopped continues with the parts that it has not made.
+benchmarks: setup
+	$(BIN)/python -m benchmarks
 
 pytest: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal

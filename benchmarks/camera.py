@@ -7,13 +7,12 @@ are disturbed after the rest frame (*drift*), before it as well (*both*), and wi
 off by more than 10 % and 0.3 N and outside its 95 % interval; so is a pressed contact that turned
 a switch on and is not found, and a contact of more than 1 N where nothing presses. ::
 
-    python -m benchmarks.camera [--parts motion,mild,hard] [--presses 100] [--dry]
+    python -m benchmarks.camera [--parts "cylinder60 motion"] [--quick]
 """
 
-import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 
 import cv2
@@ -21,7 +20,7 @@ import numpy as np
 
 from benchmarks.camera_faults import HARD, MILD
 from benchmarks.decoder_evaluation import by_design, mechanics
-from benchmarks.harness import Table
+from benchmarks.harness import Table, run_parts
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
@@ -53,7 +52,8 @@ MOTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float],
     "tilt 0.3 deg": ((0, 0, 0), (0, 0.3, 0), 0.0),
 }
 """Translation, mm, rotation, degrees, and change of focal length, %, after the rest frame."""
-DESIGNS = "cylinder60,examples/uses/handle.toml,hemisphere,grip"
+DESIGNS = ("cylinder60", "examples/uses/handle.toml", "hemisphere", "grip")
+PRESSES = 100
 NEAR_MM = 8.0
 """A contact found within this distance of a pressed one, or within the distance of markers if that
 is longer, is part of it."""
@@ -263,27 +263,29 @@ def add_sum(table: Table, bench: Bench, part: str, silent: int) -> None:
     table.add(case, silent, "", 0, "project target", "== 0")
 
 
-def main() -> None:
-    """Run the parts that were asked for."""
-    parser = argparse.ArgumentParser(description="What a camera does to frames.")
-    parser.add_argument("--parts", default="motion,mild,hard")
-    parser.add_argument("--presses", type=int, default=100)
-    parser.add_argument("--designs", default=DESIGNS)
-    parser.add_argument("--dry", action="store_true", help="results are not written")
-    given = parser.parse_args()
-    for name in given.designs.split(","):
-        bench = Bench(load_design(name), given.presses)
-        for part in given.parts.split(","):
-            table = Table("camera", part=f"{Path(name).stem} {part}")
-            if part == "motion":
-                add_motions(table, bench)
-            else:
-                add_pictures(table, bench, part)
-            if not given.dry:
-                stems = [Path(each).stem for each in DESIGNS.split(",")]
-                parts = ("motion", "mild", "hard")
-                table.write(order=[f"{stem} {kind}" for stem in stems for kind in parts])
+@cache
+def bench_of(design: str, presses: int) -> Bench:
+    """Return the presses on a design; all its parts share them."""
+    return Bench(load_design(design), presses)
+
+
+def add_part(table: Table, *, design: str, kind: str, quick: bool) -> None:
+    """Rows of one kind of disturbance on one design."""
+    bench = bench_of(design, 3 if quick else PRESSES)
+    if kind == "motion":
+        add_motions(table, bench)
+    else:
+        add_pictures(table, bench, kind)
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Parts by name, in order."""
+    return {
+        f"{Path(design).stem} {kind}": partial(add_part, design=design, kind=kind, quick=quick)
+        for design in DESIGNS
+        for kind in ("motion", "mild", "hard")
+    }
 
 
 if __name__ == "__main__":
-    main()
+    run_parts("camera", parts, __doc__ or "")

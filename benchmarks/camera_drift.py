@@ -3,29 +3,30 @@
 Presses, frames and judgement are those of :mod:`benchmarks.camera`; each press is held for 20 s,
 and one frame is decoded every 10 s. ::
 
-    python -m benchmarks.camera_drift [--design cylinder60] [--dry]
+    python -m benchmarks.camera_drift [--quick]
 """
 
-import argparse
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
-from benchmarks.camera import Bench, Outcome, moved
-from benchmarks.harness import Table
+from benchmarks.camera import Bench, Outcome, bench_of, moved
+from benchmarks.harness import Table, run_parts
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
 from phytac_decoder.pipeline.drift import DriftReference, DriftSettings
 from phytac_decoder.pipeline.frame_reading import Reading
-from phytac_design.design.design_file import load_design
 from phytac_shapes.errors import PhytacError
 
+DESIGN = "cylinder60"
 MINUTES, STEP_S, HELD = 30, 10.0, (4, 5)
 """Duration, time between frames, and the frames of each minute in which the sensor is pressed."""
 RATE_MM, RATE_DEG = 0.02, 0.02
 """Drift in a minute, along x and about y."""
 
 
-def film(bench: Bench, rate: float) -> dict[str, Outcome]:
+def film(bench: Bench, rate: float, minutes: int) -> dict[str, Outcome]:
     """Decode half an hour with and without a reference that follows."""
     camera = bench.context.sensor.cameras[0]
     bundle = calibrate_rest(bench.bundle, [bench.frame(None, camera)])
@@ -33,7 +34,7 @@ def film(bench: Bench, rate: float) -> dict[str, Outcome]:
     readers = {"followed": DriftReference(bundle), "fixed": DriftReference(bundle, never)}
     out = {name: Outcome() for name in readers}
     each_minute = round(60.0 / STEP_S)
-    for number in range(MINUTES * each_minute):
+    for number in range(minutes * each_minute):
         minute, phase = divmod(number, each_minute)
         time_s = number * STEP_S
         index = minute % bench.count if phase in HELD else None
@@ -56,17 +57,14 @@ def percent(errors: list[float]) -> float:
     return 100.0 * float(np.mean(errors)) if errors else float("nan")
 
 
-def main() -> None:
-    """Decode all films."""
-    parser = argparse.ArgumentParser(description="A camera that creeps.")
-    parser.add_argument("--design", default="cylinder60")
-    parser.add_argument("--dry", action="store_true", help="results are not written")
-    given = parser.parse_args()
-    bench = Bench(load_design(given.design), MINUTES)
-    table, name = Table("camera_drift"), bench.context.design.name
-    still, creeping = film(bench, 0.0), film(bench, 1.0)
+def add_rows(table: Table, *, quick: bool) -> None:
+    """Rows of films with a camera at rest and with one that creeps."""
+    minutes = 2 if quick else MINUTES
+    bench = bench_of(DESIGN, minutes)
+    name = bench.context.design.name
+    still, creeping = film(bench, 0.0, minutes), film(bench, 1.0, minutes)
     usual = percent(still["fixed"].errors)
-    about = f"{MINUTES} min, {RATE_MM} mm and {RATE_DEG}° a minute"
+    about = f"{minutes} min, {RATE_MM} mm and {RATE_DEG}° a minute"
     source = "the same film with a camera at rest, reference fixed"
     table.add(f"{name}: camera at rest, reference followed: error of forces, whole surface",
               percent(still["followed"].errors), "%", usual, source,
@@ -81,9 +79,12 @@ def main() -> None:
                   "== 0" if target else None, f"of {out.frames}")  # fmt: skip
         table.add(f"{row}: silently wrong contacts", out.silent, "", 0, "project target",
                   "== 0" if target else None)  # fmt: skip
-    if not given.dry:
-        table.write()
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Return the only part."""
+    return {DESIGN: partial(add_rows, quick=quick)}
 
 
 if __name__ == "__main__":
-    main()
+    run_parts("camera_drift", parts, __doc__ or "")

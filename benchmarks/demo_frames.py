@@ -5,18 +5,18 @@ on. Here frames with as many contacts are drawn with another seed, at random pla
 forces and sizes, solved with large displacements as the demo is, rendered, and decoded as ``phytac
 decode`` does, with a rest frame. Judgement is that of :mod:`benchmarks.camera`. ::
 
-    python -m benchmarks.demo_frames [--design cylinder60] [--frames 300] [--cpu-minutes 15] [--dry]
+    python -m benchmarks.demo_frames [--quick]
 """
 
-import argparse
-import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from benchmarks.camera import Bench, Outcome, decode
 from benchmarks.decoder_evaluation import by_design, mechanics
-from benchmarks.harness import Table
+from benchmarks.harness import Table, run_parts
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
@@ -26,6 +26,7 @@ from phytac_design.stages.renders_stage import FrameContacts, draw_frame_contact
 from phytac_design.stages.response_stage import truth_model
 from phytac_shapes.arrays import FloatArray
 
+DESIGN, FRAMES = "cylinder60", 300
 SEED = 101
 """Of the contacts; a build's are drawn with its own seed, 0."""
 
@@ -65,14 +66,12 @@ class DemoBench(Bench):
         return found is not None
 
 
-def judge_frames(bench: DemoBench, cpu_minutes: float) -> tuple[Outcome, int]:
-    """Decode frames until the time has passed; also return how many did not converge."""
+def judge_frames(bench: DemoBench) -> tuple[Outcome, int]:
+    """Decode all frames; also return how many did not converge."""
     camera = bench.context.sensor.cameras[0]
     bundle = calibrate_rest(bench.bundle, [bench.frame(None, camera)])
-    out, failed, begin = Outcome(), 0, time.process_time()
+    out, failed = Outcome(), 0
     for index in range(bench.count):
-        if time.process_time() - begin > 60.0 * cpu_minutes:
-            break
         if bench.solve(index):
             bench.judge(out, index, decode(bundle, bench.frame(index, camera)))
         else:
@@ -94,19 +93,16 @@ def add_rows(table: Table, bench: DemoBench, out: Outcome, failed: int) -> None:
               "pressed contacts")  # fmt: skip
 
 
-def main() -> None:
-    """Decode the frames of one design."""
-    parser = argparse.ArgumentParser(description="Frames like the README's demo frame.")
-    parser.add_argument("--design", default="cylinder60")
-    parser.add_argument("--frames", type=int, default=300)
-    parser.add_argument("--cpu-minutes", type=float, default=15.0)
-    parser.add_argument("--dry", action="store_true", help="results are not written")
-    given = parser.parse_args()
-    bench, table = DemoBench(load_design(given.design), given.frames), Table("demo_frames")
-    add_rows(table, bench, *judge_frames(bench, given.cpu_minutes))
-    if not given.dry:
-        table.write()
+def add_frames(table: Table, *, quick: bool) -> None:
+    """Decode the frames, and add the rows."""
+    bench = DemoBench(load_design(DESIGN), 3 if quick else FRAMES)
+    add_rows(table, bench, *judge_frames(bench))
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Return the only part."""
+    return {DESIGN: partial(add_frames, quick=quick)}
 
 
 if __name__ == "__main__":
-    main()
+    run_parts("demo_frames", parts, __doc__ or "")

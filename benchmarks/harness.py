@@ -3,13 +3,15 @@
 import argparse
 import json
 import operator
-import platform
-import subprocess
+import shlex
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from benchmarks import provenance
 
 RESULTS = Path(__file__).parent / "results"
 COMPARE: dict[str, Callable[[float, float], bool]] = {
@@ -36,12 +38,16 @@ class Table:
     name : str
         Of the benchmark.
     part : str
-        Part that rows are of while they are added; "" where there are no parts.
+        Part that rows are of.
+    made : dict
+        What makes them, see :mod:`benchmarks.provenance`.
     """
 
     name: str
     part: str = ""
+    made: dict[str, Any] = field(default_factory=dict)
     rows: list[dict[str, Any]] = field(default_factory=list)
+    begin_s: float = field(default_factory=time.monotonic)
 
     def add(
         self,
@@ -103,31 +109,36 @@ class Table:
         reference = float(target.split()[1])
         self.add(case, value, unit, reference=reference, source=source, target=target, note=note)
 
-    def write(self, *, order: Sequence[str] = ()) -> Path:
+    def write(self, *, order: Sequence[str]) -> Path:
         """Write the table as JSON beside the other results.
 
-        With the ``order`` of all parts, rows of parts that were not run now are kept, with the
-        commit that made them.
+        Rows of other parts are kept, in the ``order`` of all parts, with what made them.
         """
         RESULTS.mkdir(exist_ok=True)
         path = RESULTS / f"{self.name}.json"
-        if order and path.is_file():
-            run = {row["part"] for row in self.rows}
-            before = json.loads(path.read_text())
-            kept = [row for row in before["rows"] if row.get("part") in set(order) - run]
-            self.rows += [{"commit": before["commit"]} | row for row in kept]
-            self.rows.sort(key=lambda row: order.index(row["part"]))
-        commit = subprocess.run(
-            ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-        ).stdout.strip()
-        data = {"machine": machine(), "commit": commit or "none", "rows": self.rows}
+        before = json.loads(path.read_text()) if path.is_file() else {"parts": {}, "rows": []}
+        made = self.made | {"seconds": round(time.monotonic() - self.begin_s, 1)}
+        known = before["parts"] | {self.part: made}
+        rows = [row for row in before["rows"] if row["part"] != self.part] + self.rows
+        data = {
+            "parts": {part: known[part] for part in order if part in known},
+            "rows": [row for part in order for row in rows if row["part"] == part],
+        }
         path.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n")
         return path
 
 
-def run_parts(
-    name: str, parts: Callable[..., dict[str, Callable[[Table], None]]], description: str
-) -> None:
+Parts = Callable[..., dict[str, Callable[[Table], None]]]
+
+
+def module_of(work: Callable[..., None], name: str) -> str:
+    """Return the module of a part of the benchmark ``name``, which may be the program itself."""
+    while isinstance(work, partial):
+        work = work.func
+    return f"benchmarks.{name}" if work.__module__ == "__main__" else work.__module__
+
+
+def run_parts(name: str, parts: Parts, description: str) -> None:
     """Run a benchmark's parts, ``--parts a,b`` or all; each is written as soon as it is done.
 
     Parameters
@@ -148,23 +159,13 @@ def run_parts(
     if unknown:
         parser.error(f"no part {unknown[0]!r}; known: {', '.join(known)}")
     for part in chosen:
-        table = Table(name, part=part)
+        command = f"python -m benchmarks.{name} --parts {shlex.quote(part)}"
+        module = module_of(known[part], name)
+        made = {} if given.quick else provenance.record(module, command)
+        table = Table(name, part=part, made=made)
         known[part](table)
         if not given.quick:
             table.write(order=list(known))
-
-
-def machine() -> dict[str, Any]:
-    """Processor, cores and Python of this machine."""
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
-        model = names[0].split(":", 1)[1].strip() if names else model
-        cores = len(names)
-    else:
-        cores = 0
-    return {"processor": model, "cores": cores, "python": platform.python_version()}
 
 
 def median_of(work: Callable[[], Any], repeats: int = 5) -> float:
@@ -183,8 +184,3 @@ def argument_parser(description: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="smaller cases, result not written")
     return parser
-
-
-def arguments(description: str) -> argparse.Namespace:
-    """Read that command line."""
-    return argument_parser(description).parse_args()

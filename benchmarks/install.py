@@ -22,6 +22,7 @@ from http import HTTPStatus
 from pathlib import Path
 
 from benchmarks.harness import RESULTS, Table
+from benchmarks.provenance import record
 
 ROOT = Path(__file__).parents[1]
 EXTRAS = ("", "design", "solid", "train", "study", "studio", "all")
@@ -219,7 +220,8 @@ def main() -> None:
         for python in given.pythons.split(","):
             for extra in given.extras.split(","):
                 label = f"{version_of(python)} [{extra}]" + (" lowest" if given.lowest else "")
-                table = Table("install", part=label)
+                made = record("benchmarks.install", "python -m benchmarks.install")
+                table = Table("install", part=label, made=made)
                 measure(table, python, extra, wheel, built.resolve(), given)
                 if not given.dry:
                     table.write(order=parts_with(label))
@@ -228,7 +230,7 @@ def main() -> None:
 def parts_with(label: str) -> list[str]:
     """Parts of the committed results, and this one."""
     path = RESULTS / "install.json"
-    old = [row["part"] for row in json.loads(path.read_text())["rows"]] if path.is_file() else []
+    old = json.loads(path.read_text())["parts"] if path.is_file() else {}
     return sorted({*old, label})
 
 

@@ -5,6 +5,8 @@ dots lie in ``../shared/real_frames``, see its README. Lens and camera pose are 
 are fitted here, to the dots' centroids. Run ``python -m benchmarks.real_photo``.
 """
 
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from benchmarks.harness import Table, arguments
+from benchmarks.harness import Table, run_parts
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import KannalaBrandt
 from phytac_decoder.io.recorded_frames import read_image
@@ -375,16 +377,17 @@ def add_rows(table: Table, result: Comparison) -> None:
         )
 
 
-def main() -> None:
+def add_photo(table: Table) -> None:
     """Compare, unless the photo is missing."""
-    arguments(__doc__.splitlines()[0])
     if not FOLDER.is_dir():
-        print(f"skipped: the photo is not here ({FOLDER} is missing)")
-        return
-    table = Table("real_photo")
+        sys.exit(f"the photo is not here ({FOLDER} is missing)")
     add_rows(table, compare())
-    print(table.write())
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:  # noqa: ARG001 - one size
+    """Return the only part."""
+    return {"taclink": add_photo}
 
 
 if __name__ == "__main__":
-    main()
+    run_parts("real_photo", parts, __doc__ or "")

@@ -3,16 +3,17 @@
 The sensor is a design with twelve marks on its near rim; presses, frames and judgement are those of
 :mod:`benchmarks.camera`. ::
 
-    python -m benchmarks.reference_marks [--design cylinder60] [--presses 24] [--dry]
+    python -m benchmarks.reference_marks [--quick]
 """
 
-import argparse
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from benchmarks.camera import Bench, Outcome, decode, moved
-from benchmarks.harness import Table
+from benchmarks.harness import Table, run_parts
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.sensor_limits import axial_rotation
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
@@ -20,6 +21,8 @@ from phytac_decoder.vision.reference_marks import ReferenceMarks
 from phytac_design.design.design_file import load_design
 from phytac_design.design.layout_table import ReferenceMarksSection
 from phytac_design.design.spec import Design
+
+DESIGN, PRESSES = "cylinder60", 24
 
 MOTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], float]] = {
     "shift x 0.1 mm": ((0.1, 0, 0), (0, 0, 0), 0.0),
@@ -125,20 +128,17 @@ def add_turns(table: Table, bench: Bench) -> None:
     )
 
 
-def main() -> None:
-    """Run all motions."""
-    parser = argparse.ArgumentParser(description="What reference marks make of camera motion.")
-    parser.add_argument("--design", default="cylinder60")
-    parser.add_argument("--presses", type=int, default=24)
-    parser.add_argument("--dry", action="store_true", help="results are not written")
-    given = parser.parse_args()
-    table = Table("reference_marks", part=given.design)
-    bench = Bench(with_marks(load_design(given.design)), given.presses)
+def add_design(table: Table, *, quick: bool) -> None:
+    """Rows of all motions and turns."""
+    bench = Bench(with_marks(load_design(DESIGN)), 3 if quick else PRESSES)
     add_rows(table, bench)
     add_turns(table, bench)
-    if not given.dry:
-        table.write(order=[given.design])
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Return the only part."""
+    return {DESIGN: partial(add_design, quick=quick)}
 
 
 if __name__ == "__main__":
-    main()
+    run_parts("reference_marks", parts, __doc__ or "")

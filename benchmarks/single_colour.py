@@ -7,12 +7,14 @@ frame by decoders that were made from the designs alone. ::
     python -m benchmarks.single_colour [--quick]
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from benchmarks.camera import Bench, Outcome, decode
-from benchmarks.harness import Table, arguments
+from benchmarks.harness import Table, run_parts
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
@@ -85,17 +87,18 @@ def add_rows(table: Table, kind: str, out: Outcome, with_switches: Outcome) -> N
     table.goal(f"{kind}: silently wrong contacts", out.silent, "", "== 0")
 
 
-def main() -> None:
-    """Run all kinds."""
-    quick = arguments(__doc__.splitlines()[0]).quick
+def add_kinds(table: Table, *, quick: bool) -> None:
+    """Rows of all kinds."""
     presses = 4 if quick else 24
-    table = Table("single_colour")
     results = {kind: judged(Bench(design_of(kind), presses), presses) for kind in KINDS}
     for kind, out in results.items():
         add_rows(table, kind, out, results["paints and switches"])
-    if not quick:
-        print(table.write())
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Return the only part."""
+    return {"kinds": partial(add_kinds, quick=quick)}
 
 
 if __name__ == "__main__":
-    main()
+    run_parts("single_colour", parts, __doc__ or "")

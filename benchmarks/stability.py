@@ -9,11 +9,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import Table, arguments
+from benchmarks.harness import Table, run_parts
 from verification.case import unreadable
 
 WALL_MAX_S = 1200.0
@@ -88,16 +89,17 @@ def add_rows(table: Table, outcomes: Sequence[Outcome], seconds: float) -> None:
     table.goal("wall time, 2 workers", seconds, "s", f"<= {WALL_MAX_S:g}")
 
 
-def main() -> None:
-    """Run and write the rows."""
-    quick = arguments(__doc__ or "").quick
+def add_cases(table: Table, *, quick: bool) -> None:
+    """Run the cases, and add the rows."""
     start = time.perf_counter()
     outcomes = run(quick=quick)
-    table = Table("stability")
     add_rows(table, outcomes, time.perf_counter() - start)
-    if not quick:
-        table.write()
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Return the only part."""
+    return {"cases": partial(add_cases, quick=quick)}
 
 
 if __name__ == "__main__":
-    main()
+    run_parts("stability", parts, __doc__ or "")

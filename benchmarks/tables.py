@@ -1,7 +1,8 @@
 """The tables of README and ``docs/evidence.md`` from the committed results; all rows on demand.
 
 ``python -m benchmarks.tables`` writes these tables; ``--check`` only reports whether they are up to
-date; ``--out FOLDER`` also writes all rows as ``verification.md`` there.
+date; ``--out FOLDER`` also writes all rows as ``verification.md`` there. Rows of code that has
+changed since are marked ``EARLIER``.
 """
 
 import argparse
@@ -12,13 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import RESULTS
+from benchmarks.provenance import ROOT, is_current
 
-ROOT = Path(__file__).parents[1]
+EARLIER = "†"
 BEGIN, END = "<!-- figures: made by python -m benchmarks.tables -->", "<!-- end of figures -->"
 INTRODUCTION = """# Verification
 
 Made by `python -m benchmarks.tables` from `benchmarks/results/`. Speed is a ratio to a peer in the
 same run, accuracy an error against an independent reference; what missed its target stays in.
+† The code behind this row has changed since; its command is named above the table.
 """
 HEADLINES: tuple[tuple[str, str], ...] = (
     ("visibility", "cylinder60 368, straight: at rest: fused"),
@@ -87,12 +90,13 @@ def cell(value: Any) -> str:
     return text.replace("|", "\\|")
 
 
-def line(row: dict[str, Any]) -> str:
-    """One row as Markdown."""
+def line(row: dict[str, Any], part: dict[str, Any]) -> str:
+    """One row as Markdown; ``part`` is what made it."""
     verdict = {True: "holds", False: "**missed**", None: ""}[row.get("holds")]
+    mark = "" if is_current(part) else EARLIER
     values = (
         row["case"],
-        f"{cell(row['value'])} {row['unit']}",
+        f"{cell(row['value'])} {row['unit']}".strip() + mark,
         f"{cell(row['reference'])} ({row['source']})",
         row.get("target", ""),
         verdict,
@@ -109,18 +113,34 @@ def read() -> dict[str, dict[str, Any]]:
     return {name: data for name, data in found.items() if "rows" in data}
 
 
+def lines(data: dict[str, Any]) -> list[tuple[dict[str, Any], str]]:
+    """Return the rows of a result, and each as Markdown."""
+    return [(row, line(row, data["parts"][row["part"]])) for row in data["rows"]]
+
+
+def made(name: str, part: dict[str, Any]) -> str:
+    """Return what made the rows of a part, as an item of a list."""
+    on = part.get("machine", {})
+    words = [f"- `{part['command']}`: commit {part['commit']}, {part['day']}"]
+    words += ["with uncommitted changes"] if part.get("changed") else []
+    words += [f"{part['seconds']:.0f} s"] if "seconds" in part else []
+    words += [f"{on['processor']}, {on['cores']} cores, Python {on['python']}"] if on else []
+    words += [] if is_current(part) else [f"the code of {name} has changed since"]
+    return ", ".join(words)
+
+
 def page(results: dict[str, dict[str, Any]]) -> str:
     """Whole verification page."""
     missed = [
-        line(row) for data in results.values() for row in data["rows"] if row.get("holds") is False
+        text for data in results.values() for row, text in lines(data) if row.get("holds") is False
     ]
     parts = [INTRODUCTION, f"\n## Missed targets\n\n{HEAD}", "\n".join(missed), "\n"]
     for name, data in results.items():
-        machine = data["machine"]
         parts.append(
-            f"\n## {name}\n\n`python -m benchmarks.{name}` at commit {data['commit']}, "
-            f"{machine['processor']}, {machine['cores']} cores.\n\n{HEAD}"
-            + "\n".join(line(row) for row in data["rows"])
+            f"\n## {name}\n\n"
+            + "\n".join(made(name, part) for part in data["parts"].values())
+            + f"\n\n{HEAD}"
+            + "\n".join(text for _, text in lines(data))
             + "\n"
         )
         notes = [f"- {row['case']}: {row['note']}" for row in data["rows"] if row.get("note")]
@@ -133,10 +153,10 @@ def table(results: dict[str, dict[str, Any]], chosen: tuple[tuple[str, str], ...
     """Table of some rows, between its marks."""
     rows = []
     for name, start in chosen:
-        match = [row for row in results[name]["rows"] if row["case"].startswith(start)]
+        match = [text for row, text in lines(results[name]) if row["case"].startswith(start)]
         if not match:
             raise LookupError(f"no row of {name} begins with {start!r}; correct the list")
-        rows.append(line(match[0]))
+        rows.append(match[0])
     return f"{BEGIN}\n{HEAD}" + "\n".join(rows) + f"\n{END}"
 
 
@@ -158,7 +178,9 @@ def main() -> None:
         if not given.check:
             path.write_text(new)
     if given.check:
-        sys.exit(f"out of date: {', '.join(map(str, stale))}" if stale else 0)
+        if stale:
+            sys.exit(f"out of date: {', '.join(map(str, stale))}; run python -m benchmarks.tables")
+        return
     if given.out:
         given.out.mkdir(parents=True, exist_ok=True)
         (given.out / "verification.md").write_text(page(results), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The virtual sensor: its shell against CalculiX, its speed, its eyes, its data sets.
+"""The virtual sensor: its shell against CalculiX, its speed, its imaging, its data sets.
 
 The parts ``shell_…`` hold it against contacts solved by CalculiX on solids of the true CAD.
 
@@ -181,7 +181,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         name: partial(rows, quick=quick)
         for name, rows in (
             ("theory", twin_theory.add_rows),
-            ("eyes", twin_camera.add_rows),
+            ("imaging", twin_camera.add_rows),
             ("time", twin_engine.time_rows),
             ("workers", twin_engine.worker_rows),
             ("size", twin_engine.size_rows),

@@ -8,6 +8,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+
 from phytac_design.cli.app import app
 
 ROOT = Path(__file__).parents[1]
@@ -30,6 +32,7 @@ def test_commands_of_the_docs_exist() -> None:
     assert named <= known
 
 
+@pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="hashes of code are of Python 3.11")
 def test_tables_are_made_from_the_committed_results() -> None:
     words = [sys.executable, "-m", "benchmarks.tables", "--check"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
