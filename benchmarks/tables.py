@@ -9,6 +9,7 @@ import argparse
 import json
 import re
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,15 @@ SHORT: tuple[tuple[str, str], ...] = (
     ("page", "report of cylinder60-dense, 744 markers: first contentful paint"),
 )
 """Rows of ``docs/evidence.md``."""
+MISSES, REASONS = ROOT / "docs" / "misses.md", ROOT / "benchmarks" / "misses.toml"
+GROUPS: list[dict[str, str]] = tomllib.loads(REASONS.read_text("utf-8"))["group"]
+"""Reasons, each with the rows that it holds for."""
+OPEN = """# Missed targets
+
+Every target that the committed results miss, by its reason. The value is that of the row that is
+farthest off; `python -m benchmarks.tables --out FOLDER` writes all rows. † Made by earlier code.
+
+"""
 PAGES = {ROOT / "README.md": HEADLINES, ROOT / "docs" / "evidence.md": SHORT}
 
 
@@ -160,6 +170,41 @@ def table(results: dict[str, dict[str, Any]], chosen: tuple[tuple[str, str], ...
     return f"{BEGIN}\n{HEAD}" + "\n".join(rows) + f"\n{END}"
 
 
+def excess(row: dict[str, Any]) -> float:
+    """Return how far a row misses its target, relative to the target."""
+    target = float(row["target"].split()[1])
+    return float(abs(row["value"] - target) / max(abs(target), 1e-9))
+
+
+def misses(results: dict[str, dict[str, Any]]) -> str:
+    """Return the page of missed targets; each row needs a group, and each group a row."""
+    own: list[list[tuple[dict[str, Any], dict[str, Any]]]] = [[] for _ in GROUPS]
+    for name, data in results.items():
+        for row in data["rows"]:
+            if row.get("holds") is not False:
+                continue
+            of = [
+                rows
+                for group, rows in zip(GROUPS, own, strict=True)
+                if group["benchmark"] == name and re.search(group["rows"], row["case"])
+            ]
+            if not of:
+                raise LookupError(f"no group in {REASONS.name} for {name}: {row['case']}; add it")
+            of[0].append((row, data["parts"][row["part"]]))
+    parts = [OPEN, "| what | rows | farthest off | target | why | what would mend it |\n"]
+    parts.append("|---|---|---|---|---|---|\n")
+    for group, rows in zip(GROUPS, own, strict=True):
+        name, pattern = group["benchmark"], group["rows"]
+        if not rows:
+            raise LookupError(f"no row of {name} misses {pattern!r}: delete it in {REASONS.name}")
+        row, part = max(rows, key=lambda pair: excess(pair[0]))
+        value = f"{cell(row['value'])} {row['unit']}".strip()
+        value += "" if is_current(part) else EARLIER
+        words = [group["what"], str(len(rows)), f"{value} ({cell(row['case'])})", row["target"]]
+        parts.append("| " + " | ".join([*words, group["reason"], group["mend"]]) + " |\n")
+    return "".join(parts)
+
+
 def main() -> None:
     """Write or check."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -169,11 +214,13 @@ def main() -> None:
     results = read()
     pattern = re.compile(re.escape(BEGIN) + ".*" + re.escape(END), re.DOTALL)
     stale = []
-    for path, chosen in PAGES.items():
-        old = path.read_text()
-        # A backslash in a replacement would be an escape.
-        new = pattern.sub(table(results, chosen).replace("\\", r"\\"), old)
-        if new != old:
+    # A backslash in a replacement would be an escape.
+    texts = {
+        path: pattern.sub(table(results, chosen).replace("\\", r"\\"), path.read_text())
+        for path, chosen in PAGES.items()
+    } | {MISSES: misses(results)}
+    for path, new in texts.items():
+        if not path.is_file() or new != path.read_text():
             stale.append(path)
         if not given.check:
             path.write_text(new)

@@ -106,6 +106,19 @@ def test_parts_are_written_beside_others(tmp_path: Path, monkeypatch: pytest.Mon
     assert len(data["parts"]["two"]["code"]) == 16
 
 
+def test_every_miss_has_one_reason_and_every_reason_a_miss(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = tables.read()
+    assert tables.misses(results).count("\n| ") == len(tables.GROUPS) + 1
+    row = {"case": "new", "value": 2.0, "unit": "s", "target": "<= 1", "holds": False, "part": "a"}
+    added = results["page"] | {"rows": [row], "parts": {"a": known()}}
+    with pytest.raises(LookupError, match=r"no group in .* for page: new"):
+        tables.misses(results | {"page": added})
+    gone = tables.GROUPS[0] | {"rows": "no such row"}
+    monkeypatch.setattr(tables, "GROUPS", [*tables.GROUPS, gone])
+    with pytest.raises(LookupError, match="no row of camera misses 'no such row'"):
+        tables.misses(results)
+
+
 def test_every_part_of_the_results_is_known_and_can_be_made_again() -> None:
     for name, data in tables.read().items():
         assert {row["part"] for row in data["rows"]} == set(data["parts"])
