@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Perspective, Pinhole
 from phytac_design.core.kernels import in_bands, kernel
+from phytac_design.optics.edge_sampling import (
+    fill_edges,
+    mark_edges,
+    number_edges,
+    write_edges,
+)
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND, to_linear, to_srgb
 from phytac_design.optics.raster import project_scene
@@ -21,6 +27,11 @@ from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import FloatArray, ImageArray
 
 BAND_ROWS = 128
+SAMPLES = 89
+"""Of a pixel; of as many as a Fibonacci number the rows and columns are most even."""
+EDGE_SAMPLES_MIN = 16
+EDGE_LEVELS = 1.0
+"""Difference of two shades, grey levels, from which on there is an edge between them."""
 
 
 def render_frame(
@@ -29,7 +40,7 @@ def render_frame(
     *,
     noise_std: float = 0.0,
     rng: np.random.Generator | None = None,
-    samples: int = 8,
+    samples: int = SAMPLES,
 ) -> ImageArray:
     """Anti-aliased 8-bit frame (h, w, 3), BGR.
 
@@ -38,7 +49,7 @@ def render_frame(
     noise_std : float
         Standard deviation of the sensor noise, grey levels; needs ``rng`` if not 0.
     samples : int
-        Samples per pixel, see ``sample_views``.
+        Samples per pixel, see ``render_light``.
     """
     levels = 4096  # steps of the table that encodes linear light
     light = render_light(scene, camera, samples=samples)
@@ -65,9 +76,12 @@ def render_light(
     light: FloatArray | None = None,
     lens_mm: FloatArray | None = None,
     focus_mm: float = np.inf,
-    samples: int = 8,
+    samples: int = SAMPLES,
 ) -> NDArray[np.float32]:
     """Linear light (h, w, 3) on the pixels, BGR: the mean over each pixel's area and the lens.
+
+    Of a lens that is sharp everywhere, ``samples`` of 16 or more are taken where light changes
+    between neighbouring pixels, and 4 elsewhere.
 
     Parameters
     ----------
@@ -80,7 +94,8 @@ def render_light(
         Distance of sharp focus: camera z for lenses that image planes sharply, distance from the
         camera's centre for wide ones.
     samples : int
-        Samples per pixel, see ``sample_views``.
+        Samples per pixel, see ``sample_views``. Shifts of the markers' centroids on ``cylinder60``
+        (example ``handle``) are off by 0.006 (0.009) px with 89 and by 0.022 (0.033) px with 8.
     """
     sent = triangle_light(scene, camera) if light is None else light
     # The last row is the background's.
@@ -88,6 +103,9 @@ def render_light(
         :, ::-1
     ].astype(np.float32)
     total = np.zeros((camera.height_px, camera.width_px, 3), dtype=np.float32)
+    if lens_mm is None and samples >= EDGE_SAMPLES_MIN:
+        _look_at_edges(scene, camera, rows, samples, total)
+        return total
     count, side = sample_views(samples)
     points = np.zeros((count, 2)) if lens_mm is None else lens_mm
     bent = not isinstance(camera.lens, Pinhole)
@@ -163,22 +181,90 @@ def _look(
     ``extent`` is that of :func:`row_extent`; ``offset`` (2,) is in pixels of ``total``.
     """
     side = camera.height_px // len(total)
-    x, y = side * float(offset[0]), side * float(offset[1])
-    low, high = extent
 
     def band(first: int, last: int) -> None:
-        top, bottom = side * first, side * last
-        owner = np.full((bottom - top, camera.width_px), -1, dtype=np.int32)
-        here = view
-        if view.rays.shape[0] > 0:
-            rays = ray_grid(camera.lens).rows(first, last, offset)
-            here = view._replace(rays=rays, origin=np.array([0, first]))
-        met = (high >= top - side) & (low <= bottom + side)
-        chosen = np.flatnonzero(met).astype(np.int32)
-        fill(here, chosen, (0, top, 1, x, y), owner, np.zeros(owner.shape))
+        owner = _owners(view, extent, camera, first, last, offset, side)
         _add(owner, light, side, total[first:last])
 
     in_bands(band, len(total), band_rows=-(-BAND_ROWS // side))
+
+
+def _owners(
+    view: View,
+    extent: tuple[FloatArray, FloatArray],
+    camera: Camera,
+    first: int,
+    last: int,
+    offset: FloatArray,
+    side: int,
+) -> NDArray[np.int32]:
+    """Return the triangle of every pixel of a camera that is ``side`` times as fine, -1 for none.
+
+    ``first`` and ``last`` are rows of the image, ``offset`` (2,) in its pixels.
+    """
+    x, y = side * float(offset[0]), side * float(offset[1])
+    low, high = extent
+    top, bottom = side * first, side * last
+    owner = np.full((bottom - top, camera.width_px), -1, dtype=np.int32)
+    here = view
+    if view.rays.shape[0] > 0:
+        rays = ray_grid(camera.lens).rows(first, last, offset)
+        here = view._replace(rays=rays, origin=np.array([0, first]))
+    met = (high >= top - side) & (low <= bottom + side)
+    chosen = np.flatnonzero(met).astype(np.int32)
+    fill(here, chosen, (0, top, 1, x, y), owner, np.zeros(owner.shape))
+    return owner
+
+
+def _look_at_edges(
+    scene: RenderScene,
+    camera: Camera,
+    light: NDArray[np.float32],
+    samples: int,
+    total: NDArray[np.float32],
+) -> None:
+    """Write the light of all pixels to ``total``: many samples on edges, four elsewhere."""
+    side = 2
+    shade = to_srgb(light.astype(np.float64)).astype(np.float32)
+    straight = isinstance(camera.lens, Pinhole)
+    view = project_scene(scene, camera)
+    extent = row_extent(view)
+    finer = _finer(camera, side) if straight else camera
+    coarse = project_scene(scene, finer) if straight else view
+    coarse_extent = row_extent(coarse)
+    offsets = np.ascontiguousarray(sample_offsets(samples).T.astype(np.float32))
+
+    def owners(first: int, last: int) -> NDArray[np.int32]:
+        if straight:
+            return _owners(coarse, coarse_extent, finer, first, last, np.zeros(2), side)
+        out = np.empty((side * (last - first), side * camera.width_px), dtype=np.int32)
+        for number, place in enumerate(sample_lattice(side)):
+            down, right = number % side, number // side
+            own = _owners(coarse, coarse_extent, finer, first, last, place, 1)
+            out[down::side, right::side] = own
+        return out
+
+    def band(first: int, last: int) -> None:
+        # Edges between this band and the rows around it mark pixels in it.
+        begin, end = max(first - 1, 0), min(last + 1, camera.height_px)
+        owner = owners(begin, end)
+        edge = np.zeros((end - begin, camera.width_px), dtype=np.bool_)
+        mark_edges(owner, shade, side, EDGE_LEVELS, edge)
+        inner = slice(first - begin, last - begin)
+        _add(owner[side * inner.start : side * inner.stop], light, side, total[first:last])
+        total[first:last] /= np.float32(side**2)
+        slot = np.empty((last - first, camera.width_px), dtype=np.int32)
+        fine = np.full(samples * number_edges(edge[inner], slot), -1, dtype=np.int32)
+        here = view
+        if not straight:
+            rays = ray_grid(camera.lens).rows(begin, end, np.zeros(2))
+            here = view._replace(rays=rays, origin=np.array([0, begin]))
+        met = (extent[1] >= first - 1) & (extent[0] <= last)
+        chosen = np.flatnonzero(met).astype(np.int32)
+        fill_edges(here, chosen, first, slot, offsets, fine, np.zeros(fine.shape, dtype=np.float32))
+        write_edges(fine, light, slot, samples, total[first:last])
+
+    in_bands(band, camera.height_px, band_rows=BAND_ROWS // side)
 
 
 def add_noise(image: ImageArray, std: float, rng: np.random.Generator) -> ImageArray:

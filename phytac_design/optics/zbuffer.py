@@ -115,7 +115,7 @@ Sides = tuple[Line, Line, Line, Line]
 
 
 @kernel
-def _sides(a: Pixel, b: Pixel, c: Pixel, margin: float) -> Sides:
+def sides(a: Pixel, b: Pixel, c: Pixel, margin: float) -> Sides:
     """Edges of a triangle of positive area, moved out by ``margin`` px or a little more.
 
     Horizontal edges are skipped: they bound the rows, not the columns within one.
@@ -134,9 +134,9 @@ def _sides(a: Pixel, b: Pixel, c: Pixel, margin: float) -> Sides:
 
 
 @kernel
-def _span(sides: Sides, y: float, first: float, last: float) -> tuple[float, float]:
+def span(edges: Sides, y: float, first: float, last: float) -> tuple[float, float]:
     """Part of a row between ``first`` and ``last`` that lies between all sides."""
-    a, b, c, d = sides
+    a, b, c, d = edges
     first = max(first, a[0] + a[2] * (y - a[1]), b[0] + b[2] * (y - b[1]))
     return first, min(last, c[0] + c[2] * (y - c[1]), d[0] + d[2] * (y - d[1]))
 
@@ -184,14 +184,14 @@ def _fill_straight(
             continue
         near, far = 1.0 / min(p[2], q[2], r[2]), 1.0 / max(p[2], q[2], r[2])
         nx, ny, nz = nx / (fx * plane), ny / (fy * plane), nz / plane
-        sides = _sides(a, b, c, EDGE_PX)
+        edges = sides(a, b, c, EDGE_PX)
         first_row = max(0, int(np.ceil((low - y0) / step - EDGE_PX)))
         for row in range(first_row, min(rows - 1, int(np.floor((high - y0) / step + EDGE_PX))) + 1):
             y = y0 + step * row
-            span = _span(sides, y, x0, x0 + step * (columns - 1.0))
-            first = int(np.ceil((span[0] - x0) * per_step - EDGE_PX))
+            ends = span(edges, y, x0, x0 + step * (columns - 1.0))
+            first = int(np.ceil((ends[0] - x0) * per_step - EDGE_PX))
             base = nz + ny * (y - cy) - nx * cx
-            for column in range(first, int(np.floor((span[1] - x0) * per_step + EDGE_PX)) + 1):
+            for column in range(first, int(np.floor((ends[1] - x0) * per_step + EDGE_PX)) + 1):
                 z = min(max(base + nx * (x0 + step * column), far), near)
                 if z > inverse[row, column]:
                     inverse[row, column] = z
@@ -199,7 +199,7 @@ def _fill_straight(
 
 
 @kernel
-def _edge_normal(p: Point, q: Point, sign: float) -> Point:
+def edge_normal(p: Point, q: Point, sign: float) -> Point:
     """Cross product of two corners: exactly opposite for the neighbour across the edge."""
     return (
         sign * (p[1] * q[2] - p[2] * q[1]),
@@ -232,23 +232,23 @@ def _fill_distorted(
         near = max(x0, min(a[0], b[0], c[0]) - margin)
         wide = min(x0 + step * (columns - 1.0), max(a[0], b[0], c[0]) + margin)
         p, q, r = corner(view, piece, 0), corner(view, piece, 1), corner(view, piece, 2)
-        n = _edge_normal(q, r, 1.0)
+        n = edge_normal(q, r, 1.0)
         volume = p[0] * n[0] + p[1] * n[1] + p[2] * n[2]
         if wide < near or not abs(volume) > 0.0:
             continue
         sign = 1.0 if volume > 0.0 else -1.0
-        na, nb, nc = _edge_normal(p, q, sign), _edge_normal(q, r, sign), _edge_normal(r, p, sign)
+        na, nb, nc = edge_normal(p, q, sign), edge_normal(q, r, sign), edge_normal(r, p, sign)
         scale = 1.0 / abs(volume)
         if (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0:
             b, c = c, b
-        sides = _sides(a, b, c, margin)
+        edges = sides(a, b, c, margin)
         first_row = max(0, int(np.ceil((low - y0) / step - EDGE_PX)))
         for row in range(first_row, min(rows - 1, int(np.floor((high - y0) / step + EDGE_PX))) + 1):
             y = y0 + step * row
-            span = _span(sides, y, near, wide)
-            first = int(np.ceil((span[0] - x0) * per_step - EDGE_PX))
+            ends = span(edges, y, near, wide)
+            first = int(np.ceil((ends[0] - x0) * per_step - EDGE_PX))
             line = ray_top + ray_step * row
-            for column in range(first, int(np.floor((span[1] - x0) * per_step + EDGE_PX)) + 1):
+            for column in range(first, int(np.floor((ends[1] - x0) * per_step + EDGE_PX)) + 1):
                 ray = ray_left + ray_step * column
                 dx, dy, dz = rays[line, ray, 0], rays[line, ray, 1], rays[line, ray, 2]
                 e = dx * na[0] + dy * na[1] + dz * na[2]

@@ -36,7 +36,7 @@ def point(x: float, y: float) -> FloatArray:
 
 def test_noise_grows_with_a_marker_s_motion() -> None:
     shift = np.zeros((COUNT, 2))
-    shift[1], shift[2] = (0.06, 0.08), (300.0, 400.0)
+    shift[1], shift[2] = (0.09, 0.12), (300.0, 400.0)
     found = noise_of(0.02, 0.04).variance(shift.reshape(-1)).reshape(-1, 2)
     still, moved = 0.02**2, 0.04**2
     assert found[0] == pytest.approx([still, still])

@@ -52,9 +52,10 @@ class FitSettings:
     scatter by 1.1 to 1.6 times what independent noise gives."""
     held_mm: float = 1e-4
     """Standard deviation of a centre that is held."""
-    grid_px: float = 0.1
-    """Shift of a marker at which half of the error by the grid of pixels has come: measured in
-    rendered frames of ``handle`` and ``hemisphere``, whose pixels differ fourfold."""
+    grid_px: float = 0.15
+    """Shift of a marker at which half of the variance by the grid of pixels has come: 0.13 px in
+    rendered frames of ``hemisphere``, 0.2 px in those of ``handle``, whose pixels differ
+    fourfold."""
 
 
 SETTINGS = FitSettings()

@@ -1,0 +1,116 @@
+"""Frames sampled finely where light changes are those that are sampled finely everywhere."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.camera.lens import KannalaBrandt
+from phytac_decoder.pipeline.decode import rest_positions
+from phytac_design.core.threads import THREADS
+from phytac_design.layout.sensor import Sensor
+from phytac_design.optics import frame_renderer
+from phytac_design.optics.edge_sampling import mark_edges
+from phytac_design.optics.frame_renderer import SAMPLES, render_frame, render_light, sample_views
+from phytac_design.optics.render_scene import RenderScene
+from phytac_design.simulation.imaging.nominal_view import expected_views, vision_bundle
+from phytac_shapes.arrays import FloatArray
+from tests.optics.cases import Bench
+
+
+def lens_of(few: Bench, kind: str) -> Camera:
+    """The camera, with its own lens or with one that bends lines."""
+    names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
+    sizes = {name: getattr(few.camera.lens, name) for name in names}
+    bent = KannalaBrandt(**sizes, distortion=(0.02, 0.0, 0.0, 0.0))
+    return few.camera if kind == "pinhole" else replace(few.camera, lens=bent)
+
+
+def everywhere(scene: RenderScene, camera: Camera, samples: int) -> FloatArray:
+    """Light with all samples in every pixel."""
+    points = np.zeros((sample_views(samples)[0], 2))
+    return render_light(scene, camera, samples=samples, lens_mm=points).astype(np.float64)
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "bent"])
+def test_light_is_that_of_fine_samples_everywhere(
+    few: Bench, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, camera = few.scene(), lens_of(few, kind)
+    wanted = everywhere(scene, camera, 600)
+    plain = render_light(scene, camera, samples=8)
+    # Not by looking at every pixel as often.
+    monkeypatch.delattr(frame_renderer, "_look")
+    fine = render_light(scene, camera)
+    off, off_plain = (np.abs(image - wanted).max(axis=2) for image in (fine, plain))
+    # Without bias, and much closer than a few samples everywhere.
+    assert abs(float((fine - wanted).mean())) < 2e-5
+    assert np.sqrt(np.mean(off**2)) < 0.35 * np.sqrt(np.mean(off_plain**2))
+    assert np.percentile(off, 99.9) < 0.02
+    # A sliver between four samples of a pixel, beside nothing else, is the worst that is missed.
+    assert off.max() < 0.15
+
+
+def test_centroids_are_exact_to_a_few_thousandths_of_a_pixel(few: Bench) -> None:
+    sensor = Sensor.of(few.design, few.surface, few.markers)
+    bundle = vision_bundle(sensor, expected_views(sensor))
+    errors = []
+    for samples in (SAMPLES, 8):
+        shift = np.array([0.31, 0.17])
+        seen = [
+            rest_positions(bundle, render_frame(few.scene(), camera, samples=samples))
+            for camera in (few.camera, few.camera.shifted(shift))
+        ]
+        exact = [
+            rest_positions(bundle, render_frame(few.scene(), camera, samples=987))
+            for camera in (few.camera, few.camera.shifted(shift))
+        ]
+        errors.append(float(np.sqrt(np.mean((seen[1] - seen[0] - exact[1] + exact[0]) ** 2))))
+    assert errors[0] < 0.02
+    assert errors[0] < 0.45 * errors[1]
+
+
+def test_the_field_of_a_lens_may_end_within_the_image(few: Bench) -> None:
+    lens = few.camera.lens
+    narrow = KannalaBrandt(
+        width_px=lens.width_px,
+        height_px=lens.height_px,
+        fx_px=0.2 * lens.fx_px,
+        fy_px=0.2 * lens.fy_px,
+        cx_px=lens.cx_px,
+        cy_px=lens.cy_px,
+        distortion=(-0.5, 0.0, 0.0, 0.0),
+    )
+    camera = replace(few.camera, lens=narrow)
+    blind = ~np.isfinite(camera.lens.unproject(np.array([[0.0, 0.0]]))).all()
+    assert blind
+    fine = render_light(few.scene(), camera)
+    wanted = everywhere(few.scene(), camera, 96)
+    off = np.abs(fine - wanted).max(axis=2)
+    assert np.isfinite(fine).all()
+    # Rays of pixels beside the end of the field have neighbours on one side alone.
+    assert np.sqrt(np.mean(off**2)) < 0.004
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "bent"])
+def test_frames_do_not_depend_on_threads_or_bands(
+    few: Bench, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames, camera = [], lens_of(few, kind)
+    for threads, rows in (("1", 128), ("3", 34)):
+        monkeypatch.setenv(THREADS, threads)
+        monkeypatch.setattr(frame_renderer, "BAND_ROWS", rows)
+        frames.append(render_frame(few.scene(), camera))
+    np.testing.assert_array_equal(frames[0], frames[1])
+
+
+def test_edges_are_marked_on_both_sides_and_where_shades_differ() -> None:
+    owner = np.zeros((8, 12), dtype=np.int32)
+    owner[:, 6:] = 1
+    owner[:, 10:] = 2
+    shade = np.array([[10.0, 10, 10], [20.0, 10, 10], [20.5, 10, 10]], dtype=np.float32)
+    edge = np.zeros((4, 6), dtype=np.bool_)
+    mark_edges(owner, shade, 2, 1.0, edge)
+    # Between pixels 2 and 3 lies the edge; triangles 1 and 2 look the same.
+    np.testing.assert_array_equal(edge, np.tile([False, False, True, True, False, False], (4, 1)))
