@@ -66,6 +66,10 @@ def decode(
     control: ControlOption = None,
     csv: Annotated[Path | None, typer.Option(help="CSV of contacts to write.")] = None,
     parquet: Annotated[Path | None, typer.Option(help="The same as Parquet.")] = None,
+    mcap: Annotated[
+        Path | None,
+        typer.Option(help="ROS 2 messages as MCAP, for Foxglove and ros2 bag (extra recordings)."),
+    ] = None,
     regions: RegionsOption = None,
     design: DesignOption = None,
     record_regions: RecordRegionsOption = None,
@@ -73,7 +77,12 @@ def decode(
     as_json: JsonOption = False,
 ) -> None:
     """Decode an image, a folder of images, a video or a camera to forces in newtons."""
-    options = {"--csv": csv, "--parquet": parquet, "--record-regions": record_regions}
+    options = {
+        "--csv": csv,
+        "--parquet": parquet,
+        "--mcap": mcap,
+        "--record-regions": record_regions,
+    }
     files = {option: path for option, path in options.items() if path is not None}
     if not (files or rest_first or follow or fps) and all(map(is_image, frame)):
         _decode_frame(
@@ -326,13 +335,16 @@ def _decode_recording(
     contacts = files.get("--csv") or (_scratch(parquet) if parquet else None)
     stopped, failed, frames = False, None, session.source
     with contextlib.ExitStack() as stack:
-        kept = open_recorders(stack, contacts, files.get("--record-regions"), session.region_names)
+        messages = session.messages(moment_about)
+        kept = open_recorders(
+            stack, contacts, files.get("--record-regions"), messages, mcap=files.get("--mcap")
+        )
         for limit in session.bundle.limits():
             say(f"warning: {limit}")
         stream = Stream(
             source=frames,
             decode=session.decode,
-            messages=session.messages(moment_about),
+            messages=messages,
             publish=printer.publish,
             recorders=list(kept.values()),
             report=say,

@@ -80,7 +80,7 @@ def live(
         )
         frames, messages = session.source, session.messages(moment_about)
         view = stack.enter_context(LiveView(messages.hello(), port=port))
-        kept = open_recorders(stack, record, None, [])
+        kept = open_recorders(stack, record, None, messages)
         report(f"{session.bundle.design}: {frames.description}; look at {view.url}; Ctrl-C stops")
         for limit in session.bundle.limits():
             report(f"warning: {limit}")

@@ -15,11 +15,10 @@ if TYPE_CHECKING:
     from phytac_decoder.estimation.force_regions import Region
     from phytac_decoder.io.bundle import Bundle
     from phytac_decoder.io.frame import Source
-    from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
-    from phytac_decoder.serving.sensor_loop import Decode
+    from phytac_decoder.serving.sensor_loop import Decode, MessageRecorder
     from phytac_decoder.serving.wire_protocol import MessageBuilder
 
-    Recorders = dict[Path, Recorder | RegionRecorder]
+    Recorders = dict[Path, MessageRecorder]
 
 BundleArgument = Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")]
 SourceArgument = Annotated[
@@ -84,7 +83,12 @@ ControlOption = Annotated[
         "repeated."
     ),
 ]
-RecordOption = Annotated[Path | None, typer.Option(help="CSV of contacts to write.")]
+RecordOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="CSV of contacts to write, or ROS 2 messages as NAME.mcap (extra recordings)."
+    ),
+]
 RecordRegionsOption = Annotated[
     Path | None, typer.Option(help="CSV of the regions' forces to write, one row per frame.")
 ]
@@ -206,7 +210,7 @@ def serve(
                 report=report,
             )
         )
-        kept = open_recorders(stack, record, record_regions, session.region_names)
+        kept = open_recorders(stack, record, record_regions, messages)
         for limit in loaded.limits():
             report(f"warning: {limit}")
         if not (server.host.startswith("127.") or server.host == "::1"):
@@ -262,11 +266,6 @@ class Session(NamedTuple):
     regions: "tuple[Region, ...]"
     estimator: str
     decode: "Decode"
-
-    @property
-    def region_names(self) -> list[str]:
-        """Names of the regions."""
-        return [region.name for region in self.regions]
 
     def messages(self, moment_about_mm: tuple[float, float, float]) -> "MessageBuilder":
         """Messages of a stream that begins now, with moments about a point."""
@@ -422,9 +421,25 @@ def named_regions(
 
 
 def open_recorders(
-    stack: contextlib.ExitStack, record: Path | None, record_regions: Path | None, names: list[str]
+    stack: contextlib.ExitStack,
+    record: Path | None,
+    record_regions: Path | None,
+    messages: "MessageBuilder",
+    *,
+    mcap: Path | None = None,
 ) -> "Recorders":
     """Recorders of contacts and of regions' forces, by file; the stack closes them.
+
+    Parameters
+    ----------
+    stack : ExitStack
+        Closes them.
+    record, record_regions : Path, optional
+        Files; ``record`` ending in .mcap holds ROS 2 messages.
+    messages : MessageBuilder
+        Of the stream.
+    mcap : Path, optional
+        File of ROS 2 messages, of any name.
 
     Raises
     ------
@@ -432,9 +447,12 @@ def open_recorders(
         If regions are to be kept and there are none.
     OutputError
         If a file cannot be made, or both are one.
+    MissingPartError
+        If MCAP cannot be written here.
     """
     from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
 
+    names = [region.name for region in messages.regions]
     if record_regions and not names:
         raise InputError(
             "regions-missing",
@@ -446,8 +464,16 @@ def open_recorders(
             f"--record and --record-regions are one file ({record}); give each a name of its own",
         )
     kept: Recorders = {}
+    if record and record.suffix.lower() == ".mcap":
+        record, mcap = None, record
     if record:
         kept[record] = stack.enter_context(Recorder(record))
+    if mcap:
+        from phytac_design.core.mcap_recording import McapRecorder
+
+        kept[mcap] = stack.enter_context(
+            McapRecorder(mcap, messages.bundle, messages.started_unix_s)
+        )
     if record_regions:
         kept[record_regions] = stack.enter_context(RegionRecorder(record_regions, names))
     return kept

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -14,7 +15,6 @@ from phytac_decoder.pipeline.decode import measure_frame
 from phytac_decoder.pipeline.drift import DriftReference
 from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_decoder.pipeline.tracker import Follower
-from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
 from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError, OutputError, PhytacError
@@ -116,6 +116,21 @@ def check_estimator(bundle: Bundle, estimator: str) -> None:
         )
 
 
+class MessageRecorder(Protocol):
+    """Writes frames to a file as they come.
+
+    Attributes
+    ----------
+    rows : int
+        Rows, or frames, so far.
+    """
+
+    rows: int
+
+    def add(self, message: Message) -> None:
+        """Write a frame; raises OutputError if the disk is full."""
+
+
 @dataclass(kw_only=True)
 class Progress:
     """Progress of a stream.
@@ -180,8 +195,8 @@ class Stream:
         ``time.monotonic()`` at which ``decoded_s`` is 0.
     imu : Imu, optional
         Motion samples to merge in.
-    recorders : list of Recorder or RegionRecorder
-        Files for contacts and forces of regions.
+    recorders : list of MessageRecorder
+        Files that frames are written to.
     report : callable
         Called with a line on frames that cannot be decoded and on a full disk.
     each_second : callable
@@ -196,7 +211,7 @@ class Stream:
     publish: Callable[[Message], None]
     started_s: float = field(default_factory=time.monotonic)
     imu: Imu | None = None
-    recorders: list[Recorder | RegionRecorder] = field(default_factory=list)
+    recorders: list[MessageRecorder] = field(default_factory=list)
     report: Callable[[str], None] = print
     each_second: Callable[[Progress], None] = lambda _: None
     progress: Progress = field(default_factory=Progress)
