@@ -6,6 +6,7 @@ s = (1 - cos θ)/2 makes smooth: a few Gauss points give ten digits.
 """
 
 from dataclasses import dataclass
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -153,6 +154,7 @@ def strip_share(
     return np.asarray(np.clip(total / (0.5 * np.pi * half * length), 0.0, 1.0))
 
 
+@cache
 def _gauss(count: int) -> tuple[FloatArray, FloatArray]:
     """Places and weights over [0, 1] for integrands with square-root ends."""
     node, weight = np.polynomial.legendre.leggauss(count)
@@ -167,7 +169,7 @@ def carried_share(surface: Surface, uv: FloatArray, frames: ContactFrames) -> Fl
     the sensor, is summed over small cells of the surface.
     """
     out = np.ones(len(uv))
-    tiles = _SurfaceTiles(surface)
+    tiles = _tiles_of(surface)
     gentle = tiles.turn(frames) > SETTINGS.flat_cosine
     even = gentle & (frames.kind == FLAT)
     out[even] = on_shell_share(surface, uv[even], frames.half_mm[even])
@@ -178,6 +180,12 @@ def carried_share(surface: Surface, uv: FloatArray, frames: ContactFrames) -> Fl
         out[rest] = tiles.measure(frames, rest)
     out[small] = 1.0
     return out
+
+
+@lru_cache(maxsize=4)
+def _tiles_of(surface: Surface) -> "_SurfaceTiles":
+    """Tiles of a surface; a sensor in a control loop asks for them thousands of times."""
+    return _SurfaceTiles(surface)
 
 
 class _SurfaceTiles:

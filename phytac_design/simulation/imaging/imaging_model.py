@@ -87,6 +87,59 @@ class RestObservation:
     tip_bias_px: FloatArray
 
 
+@dataclass(frozen=True, kw_only=True)
+class CentroidErrors:
+    """Errors of the centroids of one sensor instance; arrays over n markers.
+
+    Attributes
+    ----------
+    number : int
+        Of the instance.
+    rest_px, noise_px, grid_px, tip_bias_px : (n, 2) float
+        See :class:`RestObservation`.
+    place_px : (n, 2) float
+        Projected centroid of the paint at rest.
+    """
+
+    number: int
+    rest_px: FloatArray
+    place_px: FloatArray
+    noise_px: FloatArray
+    grid_px: FloatArray
+    tip_bias_px: FloatArray
+
+    def added(
+        self,
+        shift_px: FloatArray,
+        bits: BoolArray,
+        *,
+        light: float = 1.0,
+        rng: np.random.Generator | None = None,
+    ) -> FloatArray:
+        """Shifts (n, 2) px as measured, of those of the paint; NaN where a marker is not found.
+
+        Parameters
+        ----------
+        shift_px : (n, 2) float
+            Of the paint's centroid.
+        bits : (n,) bool
+            Switches that are on.
+        light : float
+            Brightness over that at the start.
+        rng : Generator, optional
+            Draws the noise; none without.
+        """
+        shift = shift_px + np.where(bits[:, None], self.tip_bias_px, 0.0)
+        shift[~np.isfinite(self.rest_px[:, 0])] = np.nan
+        if rng is not None:
+            grid = pixel_phase_error(self.place_px + shift, self.number) - pixel_phase_error(
+                self.place_px, self.number
+            )
+            noise = rng.standard_normal(shift.shape) * self.noise_px / np.sqrt(light)
+            shift += self.grid_px * grid + noise
+        return shift
+
+
 class ImagingModel:
     """All cameras of one sensor instance.
 
@@ -230,17 +283,8 @@ class ImagingModel:
         """
         if self.status:
             return MarkerReading.nothing(self.count, self.status)
-        rest = self.at_rest
-        shift = self.exact(motion, bits, light)
-        shift += self._covered(motion, bits) + np.where(bits[:, None], rest.tip_bias_px, 0.0)
-        shift[~np.isfinite(rest.rest_px[:, 0])] = np.nan
-        if rng is not None:
-            place = self._places_at_rest
-            grid = pixel_phase_error(place + shift, self.unit.number) - pixel_phase_error(
-                place, self.unit.number
-            )
-            noise = rng.standard_normal(shift.shape) * rest.noise_px / np.sqrt(light)
-            shift += rest.grid_px * grid + noise
+        shift = self.exact(motion, bits, light) + self._covered(motion, bits)
+        shift = self.errors.added(shift, bits, light=light, rng=rng)
         seen = bits & self._has_switches
         return MarkerReading(shift_px=shift, bits=seen, found=np.isfinite(shift[:, 0]))
 
@@ -250,6 +294,33 @@ class ImagingModel:
         if self.centroids == "pixels":
             out += self._hiding(motion, bits)
         return out
+
+    @cached_property
+    def errors(self) -> "CentroidErrors":
+        """Errors of centroids in this instance's frames.
+
+        Raises
+        ------
+        InputError
+            If the sensor cannot be read, see :attr:`status`.
+        """
+        rest = self.at_rest
+        return CentroidErrors(
+            number=self.unit.number,
+            rest_px=rest.rest_px,
+            place_px=self._places_at_rest,
+            noise_px=rest.noise_px,
+            grid_px=rest.grid_px,
+            tip_bias_px=rest.tip_bias_px,
+        )
+
+    def paint_slope(self) -> FloatArray:
+        """How centroids move with the wall under each marker, (n, 2, 6): px per mm and radian.
+
+        Each through the camera that reads it; NaN where no paint is seen.
+        """
+        each = [paint.slope() for paint in self._paints]
+        return np.asarray(np.stack(each)[self.nominal.read_by, np.arange(self.count)])
 
     def _places(self, motion: FloatArray, light: float) -> FloatArray:
         """Centroid (n, 2) px of each marker's paint, through the camera that reads it."""
