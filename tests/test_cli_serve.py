@@ -77,7 +77,7 @@ def test_a_recording_goes_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: 
     assert [row["markers"] for row in rows] == ["", "14", "14 15", "29", "7"]
     assert [row["timestamp_s"] for row in rows] == ["0.0", "0.01", "0.02", "0.02", "0.03"]
     assert float(rows[1]["force_N"]) == pytest.approx(3.0, abs=0.15)
-    assert printed[0] == "toy 30 markers, protocol 1.6"
+    assert printed[0] == "toy 30 markers, protocol 1.7"
     assert printed[-1] == "end: the source has ended"
     assert printed[1] == f"1 {rows[1]['force_N']} N at [20.0, 20.0, 0.0]"
     x, y, z = (float(rows[1][f"net_moment_{axis}_Nmm"]) for axis in "xyz")

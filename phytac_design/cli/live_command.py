@@ -79,7 +79,7 @@ def live(
             loop=loop,
         )
         frames, messages = session.source, session.messages(moment_about)
-        view = stack.enter_context(LiveView(messages.hello(), port=port))
+        view = stack.enter_context(LiveView(messages.hello(), port=port, tare=session.tare.tare))
         kept = open_recorders(stack, record, None, messages)
         report(f"{session.bundle.design}: {frames.description}; look at {view.url}; Ctrl-C stops")
         for limit in session.bundle.limits():
@@ -90,6 +90,7 @@ def live(
             messages=messages,
             publish=view.publish,
             recorders=list(kept.values()),
+            tare_result=session.tare.result,
             report=report,
         )
         try:

@@ -1,6 +1,7 @@
 """The command that streams forces, and what the commands that decode have in common."""
 
 import contextlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
     from phytac_decoder.io.bundle import Bundle
     from phytac_decoder.io.frame import Source
     from phytac_decoder.serving.sensor_loop import Decode, MessageRecorder
+    from phytac_decoder.serving.tare import TareDecoder
     from phytac_decoder.serving.wire_protocol import MessageBuilder
+    from phytac_shapes.arrays import ImageArray
 
     Recorders = dict[Path, MessageRecorder]
 
@@ -207,6 +210,7 @@ def serve(
                 framing=framing,
                 serial=SerialPort(serial, baud=baud) if serial else None,
                 serial_hello=messages.hello(positions=False),
+                tare=session.tare.tare,
                 report=report,
             )
         )
@@ -214,7 +218,9 @@ def serve(
         for limit in loaded.limits():
             report(f"warning: {limit}")
         if not (server.host.startswith("127.") or server.host == "::1"):
-            report(f"warning: whoever reaches {server.host} can listen; nothing is encrypted")
+            report(
+                f"warning: whoever reaches {server.host} can listen and tare; nothing is encrypted"
+            )
         where = f"{server.host} port {server.port}"
         report(f"{loaded.design}: {frames.description} to {where}; Ctrl-C stops")
 
@@ -229,6 +235,7 @@ def serve(
             started_s=started_s,
             imu=motion,
             recorders=list(kept.values()),
+            tare_result=session.tare.result,
             report=report,
             each_second=each_second,
         )
@@ -266,6 +273,7 @@ class Session(NamedTuple):
     regions: "tuple[Region, ...]"
     estimator: str
     decode: "Decode"
+    tare: "TareDecoder"
 
     def messages(self, moment_about_mm: tuple[float, float, float]) -> "MessageBuilder":
         """Messages of a stream that begins now, with moments about a point."""
@@ -330,6 +338,7 @@ def open_session(
     from phytac_decoder.pipeline.rest_frames import take_rest_frames
     from phytac_decoder.serving.exposure_monitor import with_exposure_check
     from phytac_decoder.serving.sensor_loop import check_estimator, follow_decoder, frame_decoder
+    from phytac_decoder.serving.tare import TareDecoder
     from phytac_decoder.serving.torn_frames import with_torn_frame_check
 
     bundle = load_bundle(folder, mount=mount, stiffness_change=stiffness_change / 100.0)
@@ -362,15 +371,18 @@ def open_session(
             stack.callback(begun.close)
         unloaded = take_rest_frames(bundle, begun, rest_first)
     calibrated = calibrate_rest(bundle, unloaded) if unloaded else bundle
-    reference = DriftReference(calibrated) if drift else None
-    if follow:
-        decode = follow_decoder(calibrated, unloaded, estimator=chosen, drift=reference)
-    else:
-        decode = frame_decoder(calibrated, estimator=chosen, drift=reference)
+
+    def decoder_of(calibrated: "Bundle", unloaded: "Sequence[ImageArray]") -> "Decode":
+        reference = DriftReference(calibrated) if drift else None
+        if follow:
+            return follow_decoder(calibrated, unloaded, estimator=chosen, drift=reference)
+        return frame_decoder(calibrated, estimator=chosen, drift=reference)
+
+    taring = TareDecoder(bundle, decoder_of(calibrated, unloaded), decoder_of)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    checked = with_exposure_check(with_torn_frame_check(decode))
+    checked = with_exposure_check(with_torn_frame_check(taring))
     frames.restart()
-    return Session(calibrated, frames, named, chosen, checked)
+    return Session(calibrated, frames, named, chosen, checked, taring)
 
 
 def open_frames(

@@ -13,13 +13,14 @@ from typing import Any, Self
 from phytac_decoder.io.serial_port import SerialPort
 from phytac_decoder.serving.wire_protocol import (
     Message,
+    MessageSplitter,
     check_framing,
     end_message,
     framed,
     json_bytes,
     with_dropped,
 )
-from phytac_shapes.errors import OutputError, PhytacError
+from phytac_shapes.errors import InputError, OutputError, PhytacError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +37,7 @@ class ClientLimits:
     patience_s : float
         A client that takes nothing for this long is closed.
     received_bytes : int
-        Clients have nothing to send; one that sends more than this is closed.
+        Clients send commands alone; one that sends more than this in all is closed.
     send_buffer_bytes : int
         Of the system, for each client: half a second at 480 fps.
     hello_again_s : float
@@ -77,6 +78,7 @@ class Receiver(asyncio.Protocol):
         self._framing = "lines" if serial else server.framing
         self._queue = self._limits.serial_queue if serial else self._limits.queue
         self._received_bytes, self._full = 0, False
+        self._commands: MessageSplitter | None = MessageSplitter(self._framing)
         self._waiting: deque[bytes] = deque()
         self._urgent: bytes | None = None
         self._rest_bytes, self._moved_s = 0, time.monotonic()
@@ -107,10 +109,18 @@ class Receiver(asyncio.Protocol):
         self.flush()
 
     def data_received(self, data: bytes) -> None:
-        """Count what a client sends."""
+        """Take a client's commands; what is no message is counted alone."""
         self._received_bytes += len(data)
         if self._received_bytes > self._limits.received_bytes:
             self._server.remove(self, "sends data, and has nothing to say here")
+            return
+        if self._commands is None:
+            return
+        try:
+            for message in self._commands.feed(data):
+                self._server.command(self, message["type"])
+        except InputError:
+            self._commands = None
 
     def eof_received(self) -> bool:
         """Stay: a client may close its own half and continue to listen."""
@@ -169,6 +179,8 @@ class StreamServer:
         Hello of the serial port, if another.
     limits : ClientLimits
         See there.
+    tare : callable
+        Called, from the server's thread, when a client asks for a new rest frame.
     report : callable
         Called with who connects and leaves, from the server's thread.
 
@@ -188,12 +200,13 @@ class StreamServer:
         serial: SerialPort | None = None,
         serial_hello: Message | None = None,
         limits: ClientLimits | None = None,
+        tare: Callable[[], None] = lambda: None,
         report: Callable[[str], None] = lambda _: None,
     ) -> None:
         check_framing(framing)
         self.framing, self.limits = framing, limits or ClientLimits()
         self._hello, self._serial_hello = json_bytes(hello), json_bytes(serial_hello or hello)
-        self._serial, self._report = serial, report
+        self._serial, self._report, self._tare = serial, report, tare
         self._reported: deque[float] = deque(maxlen=self.limits.reports_per_s)
         self._receivers: list[Receiver] = []
         self._inbox: list[bytes] = []
@@ -288,6 +301,12 @@ class StreamServer:
             receiver.transport.abort()
             if not self._stopping.is_set():
                 self._log(f"{receiver.name} {reason}; closed")
+
+    def command(self, receiver: Receiver, name: str) -> None:
+        """Do what a receiver asks for, in the server's thread; unknown commands are ignored."""
+        if name == "tare":
+            self._log(f"{receiver.name} asks for a new rest frame")
+            self._tare()
 
     def _call(self, function: Callable[[], None]) -> None:
         """Call in the server's thread; after its end nothing has to be done."""

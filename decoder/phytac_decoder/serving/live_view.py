@@ -55,6 +55,8 @@ class LiveView:
         The stream's first message, with positions.
     port : int
         0 takes a free one.
+    tare : callable
+        Called, from a thread of the view's own, when its button asks for a new rest frame.
 
     Raises
     ------
@@ -70,11 +72,15 @@ class LiveView:
     curve_max = 64
     """Points of the curves in one message; of more, evenly chosen ones."""
 
-    def __init__(self, hello: Message, *, port: int = 8057) -> None:
+    def __init__(
+        self, hello: Message, *, port: int = 8057, tare: Callable[[], None] = lambda: None
+    ) -> None:
         place = np.asarray(hello["positions_mm"], dtype=np.float64)
         self.hello = json_bytes(hello | {"unrolled_mm": np.round(unrolled(place), 2).tolist()})
+        self.tare = tare
         self._news = threading.Condition()
         self._last: Message | None = None
+        self._tared: Message = {}
         self._curve: deque[tuple[int, list[float]]] = deque(maxlen=self.kept)
         self._count = itertools.count(1)
         self.number = 0
@@ -117,7 +123,9 @@ class LiveView:
         point = [message["timestamp_s"], message["total_N"], *forces]
         with self._news:
             self.number = next(self._count)
-            self._last = message
+            # Browsers skip frames: the result of a tare is in all that follow.
+            self._tared = {"tare": message["tare"]} if "tare" in message else self._tared
+            self._last = {**message, **self._tared}
             self._curve.append((self.number, point))
             self._news.notify_all()
 
@@ -228,7 +236,15 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer a request."""
         self.server.deadlines.pop(self.connection, None)
         host = self.headers.get("Host", "")
-        routes: dict[str, Callable[[], None]] = {"/": self._page, "/events": self._events}
+        self._answer(host, {"/": self._page, "/events": self._events})
+
+    def do_POST(self) -> None:
+        """Take a command of the page."""
+        self.server.deadlines.pop(self.connection, None)
+        self._answer(self.headers.get("Host", ""), {"/tare": self._tare})
+
+    def _answer(self, host: str, routes: dict[str, Callable[[], None]]) -> None:
+        """Do what a path stands for, if the request is this machine's own."""
         # A page of another site may not read forces, nor take the places of viewers.
         if host.rsplit(":", 1)[0] not in {LOOPBACK, "localhost", "[::1]"} or not self._own(host):
             self.send_error(HTTPStatus.FORBIDDEN, "This view is for this machine alone")
@@ -254,6 +270,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)
+
+    def _tare(self) -> None:
+        self.view.tare()
+        self._head("text/plain")
+        self.end_headers()
 
     def _events(self) -> None:
         view = self.view

@@ -197,6 +197,9 @@ class Stream:
         Motion samples to merge in.
     recorders : list of MessageRecorder
         Files that frames are written to.
+    tare_result : callable
+        How a new rest frame that was asked for turned out, once, for the frame's message; else
+        None. See :class:`phytac_decoder.serving.tare.TareDecoder`.
     report : callable
         Called with a line on frames that cannot be decoded and on a full disk.
     each_second : callable
@@ -212,6 +215,7 @@ class Stream:
     started_s: float = field(default_factory=time.monotonic)
     imu: Imu | None = None
     recorders: list[MessageRecorder] = field(default_factory=list)
+    tare_result: Callable[[], Message | None] = lambda: None
     report: Callable[[str], None] = print
     each_second: Callable[[Progress], None] = lambda _: None
     progress: Progress = field(default_factory=Progress)
@@ -266,7 +270,7 @@ class Stream:
     def _message(self, frame: Frame, missed: int) -> Message:
         reading = self._reading(frame)
         done_s = time.monotonic()
-        return self.messages.frame(
+        message = self.messages.frame(
             reading,
             sequence=frame.number,
             timestamp_s=frame.timestamp_s,
@@ -276,6 +280,11 @@ class Stream:
             gap_s=frame.gap_s,
             imu=self.imu.latest(frame.timestamp_s) if self.imu else None,
         )
+        result = self.tare_result()
+        if result is not None:
+            message["tare"] = result
+            self.report(f"tare: {result.get('reason', 'a new rest frame was taken')}")
+        return message
 
     def _record(self, message: Message) -> None:
         for recorder in list(self.recorders):

@@ -137,7 +137,7 @@ class MessageBuilder:
         out: Message = {
             "type": "hello",
             "format": "phytac-stream",
-            "version": "1.6",
+            "version": "1.7",
             "design": bundle.design,
             "design_hash": bundle.design_hash,
             "estimator": self.estimator,

@@ -3,7 +3,7 @@
 Its wall is tabulated on the simulation's own mesh, with the thickness, modulus and markers of the
 print: finer than the decoder's mesh and not nested in it. Between places the tables are
 interpolated by the same formula as the decoder's, see
-:mod:`phytac_decoder.mechanics.response_table`. Every press of ``phytac simulate`` is solved anew.
+:mod:`phytac_decoder.mechanics.response_table`. ``phytac simulate`` solves every press instead.
 """
 
 from collections.abc import Callable, Mapping, Sequence

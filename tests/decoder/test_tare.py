@@ -1,0 +1,181 @@
+"""A new rest frame while a stream runs: asked for by a client, a browser or a program."""
+
+import http.client
+import json
+import socket
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.io.frame import Frame
+from phytac_decoder.serving.force_server import StreamServer
+from phytac_decoder.serving.live_view import LiveView
+from phytac_decoder.serving.sensor_loop import Decode, frame_decoder
+from phytac_decoder.serving.tare import FRAMES, TareDecoder
+from phytac_shapes.arrays import ImageArray
+from tests.decoder.test_live_view import looking, messages
+from tests.decoder.test_serve import Client, wait_until
+from tests.decoder.test_stream import run
+from tests.decoder.toy_sensor import toy_bundle, toy_frame, toy_recording
+from tests.test_cli import phytac
+
+
+def taring() -> TareDecoder:
+    bundle = toy_bundle()
+
+    def made(calibrated: Bundle, _rest: Sequence[ImageArray]) -> Decode:
+        return frame_decoder(calibrated)
+
+    return TareDecoder(bundle, frame_decoder(bundle), made)
+
+
+def frame(number: int, image: ImageArray | None) -> Frame:
+    images = () if image is None else (image,)
+    return Frame(number=number, timestamp_s=0.1 * number, images=images, ready_s=time.monotonic())
+
+
+def test_what_presses_counts_as_nothing_afterwards() -> None:
+    # A newton moves its marker by a pixel: 3 N on marker 7, then 5 N.
+    image, more, decode = toy_frame({7: 3.0}), toy_frame({7: 5.0}), taring()
+    before = decode(frame(0, image))
+    decode.tare()
+    readings = [decode(frame(1 + k, image)) for k in range(FRAMES)]
+    assert decode.result() == {"done": True}
+    assert decode.result() is None
+    after = decode(frame(50, more))
+    assert before.forces_N[7] == pytest.approx(3.0, abs=0.2)
+    # Frames are decoded as before until the last of them.
+    assert readings[-2].forces_N[7] == pytest.approx(3.0, abs=0.2)
+    moved = decode._decode
+    assert readings[-1].forces_N[7] == pytest.approx(0.0, abs=0.2)
+    assert after.forces_N[7] == pytest.approx(2.0, abs=0.3)
+    assert decode._decode is moved
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_tare_that_fails_leaves_the_old_rest_frame(*, lost: bool) -> None:
+    decode = taring()
+    decode.tare()
+    images: list[ImageArray | None] = [toy_frame({}) for _ in range(FRAMES - 1)]
+    images.append(None if lost else toy_frame({7: 3.0, 14: 4.0, 21: 5.0}))
+    for number, image in enumerate(images):
+        if image is None:
+            with pytest.raises(Exception, match="frame"):
+                decode(frame(number, image))
+        else:
+            reading = decode(frame(number, image))
+    result = decode.result()
+    assert result is not None
+    assert (result["done"], result["code"]) == (
+        False,
+        "rest-frame-missing" if lost else "rest-frames-unsteady",
+    )
+    if not lost:
+        assert reading.forces_N[7] == pytest.approx(3.0, abs=0.2)
+    # It can be asked for again.
+    decode.tare()
+    for number in range(FRAMES):
+        decode(frame(20 + number, toy_frame({})))
+    assert decode.result() == {"done": True}
+
+
+def test_the_frame_in_which_it_ended_says_so() -> None:
+    decode, said = taring(), list[str]()
+    decode.tare()
+    sent, _ = run(
+        [toy_frame({})] * (FRAMES + 2),
+        decode=decode,
+        tare_result=decode.result,
+        report=said.append,
+    )
+    assert [number for number, one in enumerate(sent) if "tare" in one] == [FRAMES - 1]
+    assert sent[FRAMES - 1]["tare"] == {"done": True}
+    assert said == ["tare: a new rest frame was taken"]
+
+
+def test_a_client_asks_by_one_line() -> None:
+    asked: list[str] = []
+    with StreamServer({"type": "hello"}, port=0, tare=lambda: asked.append("tare")) as server:
+        client = Client(server)
+        client.socket.sendall(b'{"type":"other"}\n{"ty')
+        client.socket.sendall(b'pe":"tare"}\n')
+        wait_until(lambda: len(asked) == 1)
+        # What is no message is ignored, and so is all after it; the stream continues.
+        client.socket.sendall(b"no message\n")
+        client.socket.sendall(b'{"type":"tare"}\n')
+        time.sleep(0.05)
+        server.publish({"type": "frame", "sequence": 0})
+        wait_until(lambda: any(one["type"] == "frame" for one in client.got))
+    assert client.all()[-1]["type"] == "end"
+    assert asked == ["tare"]
+
+
+def test_the_live_view_has_a_button() -> None:
+    asked: list[str] = []
+
+    def post(view: LiveView, **headers: str) -> int:
+        link = http.client.HTTPConnection("127.0.0.1", view.port, timeout=10.0)
+        link.request(
+            "POST", "/tare", headers={name.replace("_", "-"): x for name, x in headers.items()}
+        )
+        status = link.getresponse().status
+        link.close()
+        return status
+
+    make = messages()
+    with LiveView(make.hello(), port=0, tare=lambda: asked.append("tare")) as view:
+        assert post(view) == 200
+        # A page of another site may not.
+        assert post(view, Origin="http://example.org") == 403
+        assert post(view, Sec_Fetch_Site="cross-site") == 403
+        assert post(view, Host="example.org") == 403
+        assert asked == ["tare"]
+        decode = taring()
+        tared = make.frame(decode(frame(0, toy_frame({}))), sequence=0, timestamp_s=0.0)
+        plain = make.frame(decode(frame(1, toy_frame({}))), sequence=1, timestamp_s=0.1)
+        view.publish({**tared, "tare": {"done": True}})
+        view.publish(plain)
+        with looking(view) as events:
+            next(events)
+            # Browsers skip frames: the newest has the result.
+            newest = next(events)
+            assert (newest["sequence"], newest["tare"]) == (1, {"done": True})
+
+
+def test_the_server_tares(tmp_path: Path) -> None:
+    """A whole run: the second half of a pressed recording is decoded against itself."""
+    import threading
+
+    toy_recording(tmp_path, [{7: 3.0}] * 20)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    got: list[dict[str, Any]] = []
+
+    def client() -> None:
+        for _ in range(400):
+            try:
+                link = socket.create_connection(("127.0.0.1", port), timeout=10.0)
+                break
+            except OSError:
+                time.sleep(0.02)
+        link.sendall(b'{"type":"tare"}\n')
+        with link, link.makefile() as lines:
+            got.extend(json.loads(line) for line in lines)
+
+    thread = threading.Thread(target=client)
+    thread.start()
+    done = phytac("serve", "decoder", "frames", "--port", str(port), "--fps", "80", "--wait",
+                  "--every", "--estimator", "koi_inverse", cwd=tmp_path)  # fmt: skip
+    thread.join(20.0)
+    assert done.returncode == 0, done.stderr
+    frames = [one for one in got if one["type"] == "frame"]
+    ended = [one["sequence"] for one in frames if "tare" in one]
+    assert len(ended) == 1
+    assert frames[0]["total_N"] == pytest.approx(3.0, abs=0.2)
+    assert frames[-1]["total_N"] == pytest.approx(0.0, abs=0.2)
+    assert "asks for a new rest frame" in done.stderr
