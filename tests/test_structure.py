@@ -15,7 +15,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCES = {"phytac_shapes": "shapes", "phytac_decoder": "decoder", "phytac_design": "."}
 """Packages, and the folder that holds each."""
-HEAVY = ("gmsh", "cadquery", "pyrender", "torch", "lib3mf", "onnx", "optuna", "distributed")
+HEAVY = (
+    "gmsh", "cadquery", "pyrender", "torch", "lib3mf", "onnx", "optuna", "distributed",
+    "mcap", "mujoco", "pxr",
+)  # fmt: skip
 """Libraries that are imported in one module each, at first use."""
 OLD_WORDS = re.compile(
     r"\b(Feet|Crew|Eyes|ASTRAY|STILL|FIRM|ANEW|Softest|Rough|Lifted|Teller|Lesson|Uneven|Skin"

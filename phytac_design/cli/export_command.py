@@ -8,18 +8,22 @@ import typer
 from phytac_design.cli.options import DesignArgument, JsonOption, check_out, say
 from phytac_design.cli.output import next_step, print_json
 
-SimulatorFormat = Literal["mjcf", "urdf", "sdf"]
+SimulatorFormat = Literal["mjcf", "urdf", "sdf", "usd"]
 NEXT = {
     "mjcf": "python -m mujoco.viewer --mjcf={out}/{name}.xml",
     "urdf": "load {out}/{name}.urdf, with --mesh-prefix package://… where ROS needs it",
     "sdf": "gz sdf --check {out}/model.sdf, then include the folder in a world",
+    "usd": "add {out}/{name}.usda to a stage as a reference",
 }
 """What to do with each format."""
 
 
 def export(
     design: DesignArgument,
-    to: Annotated[SimulatorFormat, typer.Option(help="MuJoCo, ROS or Gazebo.")],
+    to: Annotated[
+        SimulatorFormat,
+        typer.Option(help="MuJoCo, ROS, Gazebo, or Isaac Sim (extra usd)."),
+    ],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -41,7 +45,7 @@ def export(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a part for MuJoCo, ROS or Gazebo: meshes, mass, collisions, cameras, receptors."""
+    """Write a part for robot simulators: meshes, mass, collisions, cameras, receptors."""
     from phytac_design.design.design_file import load_design
     from phytac_design.workflows.export_simulator import export_simulator
 

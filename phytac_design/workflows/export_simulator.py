@@ -1,4 +1,4 @@
-"""A design as a part for MuJoCo, ROS or Gazebo: its rules, its switches, and the folder."""
+"""A design as a part for simulators of robots: its rules, its switches, and the folder."""
 
 import json
 from collections.abc import Callable
@@ -16,6 +16,7 @@ from phytac_design.fabrication.simulators.simulator_part import (
     SimulatorPart,
     make_part,
 )
+from phytac_design.fabrication.simulators.usd_stage import usd, usd_library
 from phytac_design.fabrication.simulators.xml_values import obj_text
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.rules.check import check_design
@@ -47,7 +48,7 @@ def export_simulator(
     out : Path
         Folder of the export's own.
     to : str
-        ``mjcf``, ``urdf`` or ``sdf``.
+        ``mjcf``, ``urdf``, ``sdf`` or ``usd``.
     receptors : bool, optional
         Whether receptors have frames; by default in all but URDF, where each is a link.
     prefix : str
@@ -67,19 +68,24 @@ def export_simulator(
         If the design breaks a rule.
     OutputError
         If ``out`` cannot be written or holds something else.
+    MissingPartError
+        If USD is asked for and usd-core is not installed.
     """
+    if to == "usd":
+        usd_library()
     sensor = check_design(design)
     framed = to != "urdf" if receptors is None else receptors
     with reserve_folder(out, TABLE, design.name, force=force):
         part = make_part(sensor, _switches(design, progress))
-        texts = FORMATS[to](part, receptors=framed, prefix=prefix)
+        texts = (FORMATS | {"usd": usd})[to](part, receptors=framed, prefix=prefix)
         with write_folder(out, TABLE) as folder:
             for name, text in texts.items():
                 (folder / name).write_text(text, encoding="utf-8")
-            for name, (mesh, _) in part.visuals.items():
-                (folder / visual_file(name)).write_text(obj_text(mesh), encoding="ascii")
-            for number, mesh in enumerate(part.pieces):
-                (folder / piece_file(number)).write_text(obj_text(mesh), encoding="ascii")
+            meshes = {visual_file(name): mesh for name, (mesh, _) in part.visuals.items()}
+            meshes |= {piece_file(number): mesh for number, mesh in enumerate(part.pieces)}
+            # A stage of USD holds its meshes.
+            for name, mesh in meshes.items() if to != "usd" else ():
+                (folder / name).write_text(obj_text(mesh), encoding="ascii")
             files = sorted(path.name for path in folder.iterdir())
             facts = _facts(design, part, to, framed, files)
             text = json.dumps(finite(facts), indent=1, sort_keys=True)

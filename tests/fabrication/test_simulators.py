@@ -392,7 +392,7 @@ def test_the_command(tmp_path: Path) -> None:
     done = phytac("export", "post.toml", "--to", "urdf", "--out", "part", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "3 convex collision pieces" in done.stdout
-    assert phytac("export", "post.toml", "--to", "usd", cwd=tmp_path).returncode == 2
+    assert phytac("export", "post.toml", "--to", "step", cwd=tmp_path).returncode == 2
 
 
 @pytest.fixture(scope="module")
