@@ -1,9 +1,10 @@
 """Sensors in other programs.
 
 Part ``mujoco``: spheres pressed on a virtual print in MuJoCo, decoded by its decoder as designed;
-the same presses, solved and seen as ``phytac simulate`` does, are beside them. ::
+the same presses, solved and seen as ``phytac simulate`` does, are beside them. Part ``parts``:
+exported parts of all shipped designs in MuJoCo and OpenUSD. ::
 
-    python -m benchmarks.connect [--parts mujoco] [--quick]
+    python -m benchmarks.connect [--parts mujoco,parts] [--quick]
 """
 
 import time
@@ -14,6 +15,7 @@ from functools import partial
 import mujoco
 import numpy as np
 
+from benchmarks.connect_parts import exported
 from benchmarks.connect_presses import PressRig, found_beside, only
 from benchmarks.decoder_data import job_of, small_design
 from benchmarks.decoder_evaluation import by_design, mechanics
@@ -198,7 +200,10 @@ def speeds(table: Table, name: str, rig: PressRig, sensor: PhytacMujoco, drawn: 
 
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """The parts, in order."""
-    return {"mujoco": partial(in_mujoco, quick=quick)}
+    return {
+        "mujoco": partial(in_mujoco, quick=quick),
+        "parts": partial(exported, quick=quick),
+    }
 
 
 if __name__ == "__main__":

@@ -76,7 +76,7 @@ def export_simulator(
     sensor = check_design(design)
     framed = to != "urdf" if receptors is None else receptors
     with reserve_folder(out, TABLE, design.name, force=force):
-        part = make_part(sensor, _switches(design, progress))
+        part = make_part(sensor, switches_for(design, progress))
         texts = (FORMATS | {"usd": usd})[to](part, receptors=framed, prefix=prefix)
         with write_folder(out, TABLE) as folder:
             for name, text in texts.items():
@@ -110,7 +110,7 @@ BOWLS = replace(SWITCH, depends_on=(), arrays={}, run=_design_bowls)
 """The switch stage without the check of its red tips in the image, which needs all views."""
 
 
-def _switches(design: Design, progress: Callable[[str], None]) -> SwitchSet | None:
+def switches_for(design: Design, progress: Callable[[str], None]) -> SwitchSet | None:
     """Switches of a design; none if it has none, or they cannot be made."""
     if not design.has_switches:
         return None

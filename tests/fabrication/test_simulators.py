@@ -237,7 +237,7 @@ def test_mass_counts_the_switches(exported: dict[str, Path]) -> None:
     sensor = Sensor(_design())
     with pytest.MonkeyPatch.context() as patch, coarse_bowls():
         patch.setenv("PHYTAC_CACHE", str(exported["mjcf"].parent / "cache"))
-        switches = workflow._switches(sensor.design, lambda _: None)
+        switches = workflow.switches_for(sensor.design, lambda _: None)
     assert switches
     rubber = sum(
         len(switches.markers_of(kind)) * revolved_volume_mm3(switches.profile(kind))
