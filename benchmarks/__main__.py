@@ -36,6 +36,7 @@ NAMES = (
     "real_photo",
     "tradeoff",
     "study",
+    "connect",
     "build",
     "page",
 )
