@@ -48,6 +48,15 @@ def test_a_camera_is_checked(tmp_path: Path) -> None:
     assert "markers 30/30" in done.stdout
 
 
+def test_ros_messages_are_recorded(tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="mcap is not installed (extra recordings)")
+    decoder, frames = toy_recording(tmp_path, [{}, {5: 3.0}])
+    words = ("--rest-first", "1", "--mcap", "out.mcap")
+    done = bare(tmp_path, "decode", str(decoder), str(frames), *words)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out.mcap").read_bytes().startswith(b"\x89MCAP0")
+
+
 @pytest.mark.parametrize("command", ["decode", "serve", "live"])
 def test_recordings_are_decoded_served_and_shown(command: str, tmp_path: Path) -> None:
     decoder, frames = toy_recording(tmp_path, [{}, {5: 3.0}, {5: 3.0}])

@@ -14,7 +14,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.serving.force_server import StreamServer
 from phytac_decoder.serving.live_view import LiveView
-from phytac_decoder.serving.sensor_loop import Decode, frame_decoder
+from phytac_decoder.serving.sensor_loop import Decode, follow_decoder, frame_decoder
 from phytac_decoder.serving.tare import FRAMES, TareDecoder
 from phytac_shapes.arrays import ImageArray
 from tests.decoder.test_live_view import looking, messages
@@ -24,13 +24,13 @@ from tests.decoder.toy_sensor import toy_bundle, toy_frame, toy_recording
 from tests.test_cli import phytac
 
 
-def taring() -> TareDecoder:
+def taring(*, follow: bool = False) -> TareDecoder:
     bundle = toy_bundle()
 
-    def made(calibrated: Bundle, _rest: Sequence[ImageArray]) -> Decode:
-        return frame_decoder(calibrated)
+    def made(calibrated: Bundle, rest: Sequence[ImageArray]) -> Decode:
+        return follow_decoder(calibrated, rest) if follow else frame_decoder(calibrated)
 
-    return TareDecoder(bundle, frame_decoder(bundle), made)
+    return TareDecoder(bundle, made(bundle, [toy_frame({})]), made)
 
 
 def frame(number: int, image: ImageArray | None) -> Frame:
@@ -38,9 +38,10 @@ def frame(number: int, image: ImageArray | None) -> Frame:
     return Frame(number=number, timestamp_s=0.1 * number, images=images, ready_s=time.monotonic())
 
 
-def test_what_presses_counts_as_nothing_afterwards() -> None:
+@pytest.mark.parametrize("follow", [False, True])
+def test_what_presses_counts_as_nothing_afterwards(*, follow: bool) -> None:
     # A newton moves its marker by a pixel: 3 N on marker 7, then 5 N.
-    image, more, decode = toy_frame({7: 3.0}), toy_frame({7: 5.0}), taring()
+    image, more, decode = toy_frame({7: 3.0}), toy_frame({7: 5.0}), taring(follow=follow)
     before = decode(frame(0, image))
     decode.tare()
     readings = [decode(frame(1 + k, image)) for k in range(FRAMES)]
