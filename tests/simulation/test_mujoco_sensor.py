@@ -2,13 +2,14 @@
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from phytac_decoder.io.bundle import Bundle
-from phytac_design.design.design_file import design_hash
+from phytac_decoder.io.bundle import Bundle, save_bundle, stamp_bundle
+from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.design.spec import Design
 from phytac_design.mechanics.indenter import Indentations
 from phytac_design.optics.exposure import Exposure
@@ -19,6 +20,8 @@ from phytac_design.simulation.solver import Solver
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import assemble_bundle, untrained_model
 from phytac_design.stages.virtual_sensor_stage import virtual_sensor
+from phytac_design.workflows import mujoco_sensor
+from phytac_design.workflows.export_simulator import export_simulator
 from phytac_design.workflows.mujoco_sensor import PhytacMujoco
 from phytac_design.workflows.train_decoder import MECHANICS
 from phytac_shapes.arrays import FloatArray
@@ -233,6 +236,37 @@ def test_what_does_not_fit_is_refused(rig: Any, bundle: Bundle, sensor: VirtualS
         PhytacMujoco(rig.model, rig.data, body="palm/base", indenter="cone", **given)
     with refused("decoder-of-other-design"):
         PhytacMujoco(rig.model, rig.data, body="palm/base", **given | {"design": tiny()})
+
+
+def test_the_guide_runs(
+    mujoco: Any,
+    bundle: Bundle,
+    sensor: VirtualSensor,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    guide = Path(__file__).parents[2] / "docs" / "guides" / "simulators.md"
+    attach, run = (part.partition("```")[0] for part in guide.read_text().split("```python\n")[1:])
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(to_toml(design()), encoding="utf-8")
+    Path("robot.xml").write_text('<mujoco><worldbody><body name="hand"/></worldbody></mujoco>')
+    save_bundle(bundle, Path("exports/mine/decoder"))
+    stamp_bundle(Path("exports/mine/decoder"), design=bundle.design, design_hash=bundle.design_hash)
+    export_simulator(design(), Path("mine-mjcf"), to="mjcf", progress=lambda _: None)
+    Path("mine-mjcf/small.xml").rename("mine-mjcf/mine.xml")
+    asked: dict[str, Any] = {}
+
+    def made(_: Design, **given: Any) -> VirtualSensor:
+        asked.update(given)
+        return sensor
+
+    monkeypatch.setattr(mujoco_sensor, "virtual_sensor", made)
+    names: dict[str, Any] = {}
+    exec(attach + run, names)  # noqa: S102 - our own guide
+    assert (asked["unit"], asked["accuracy"]) == (1, "standard")
+    assert names["frame"]["type"] == "frame"
+    assert names["frame"]["sequence"] == 31
+    assert len(names["truth"].force_N) == 0
 
 
 def test_without_mujoco_the_error_names_the_extra(
