@@ -7,9 +7,9 @@ version of ``requirements.lock``: others have other syntax trees.
 
 import ast
 import hashlib
+import importlib.util
 import platform
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from functools import cache
@@ -67,12 +67,13 @@ def _module_digest(name: str) -> str:
 
 def _file(name: str) -> Path:
     """Return the file of a module."""
-    for folder in map(Path, sys.path):
-        base = folder.joinpath(*name.split("."))
-        for path in (base.with_suffix(".py"), base / "__init__.py"):
-            if path.is_file():
-                return path
-    raise LookupError(f"no file of module {name!r} on the search path")
+    package, *inner = name.split(".")
+    spec = importlib.util.find_spec(package)
+    base = Path((spec.submodule_search_locations or [""])[0] if spec else "").joinpath(*inner)
+    path = base / "__init__.py" if base.is_dir() else base.with_suffix(".py")
+    if spec is None or not path.is_file():
+        raise LookupError(f"no file of module {name!r}")
+    return path
 
 
 def bare_code(text: str) -> str:

@@ -123,7 +123,9 @@ def test_samples_hold_what_was_pressed_and_what_was_seen(whole: Path) -> None:
     np.testing.assert_allclose(samples.touches.force_N, plan.touches.force_N)
     assert samples.shift_px is not None
     moved = np.linalg.norm(samples.shift_px, axis=2)
-    assert (np.nanmax(moved, axis=1)[samples.contacts > 0] > 4.0 * np.nanmedian(moved)).all()
+    # A marker beside a press moves more than most of its own frame do.
+    most, usual = np.nanmax(moved, axis=1), np.nanmedian(moved, axis=1)
+    assert (most[samples.contacts > 0] > 4.0 * usual[samples.contacts > 0]).all()
     assert samples.truth is not None
     total = np.zeros(samples.count)
     np.add.at(total, samples.truth.sample, samples.truth.force_N)
