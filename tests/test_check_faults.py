@@ -1,11 +1,15 @@
 """``phytac check``: every independent fault at once, other units, and a change that repairs."""
 
 import json
+import signal
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 
+from phytac_design.cli import check_command
 from phytac_design.design.design_file import parse_design, to_toml
 from phytac_design.design.unit_hints import unit_hints
 from phytac_design.rules.check import RULES, broken_rules, check_design
@@ -142,6 +146,34 @@ def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
     assert facts["clear"] is False
     assert out.stderr.count("error[") == 2
     assert "warning: wall.thickness_mm = 0.08 looks like cm" in out.stderr
+
+
+def test_no_repair_is_looked_for_without_end_or_for_a_wrong_unit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    looked: list[bool] = []
+
+    def forever(*_: Any, **__: Any) -> None:
+        looked.append(True)
+        while True:
+            time.sleep(0.01)
+
+    monkeypatch.setattr("phytac_design.study.advice.advise.advise", forever)
+    monkeypatch.setattr(check_command, "LOOK_S", 0.1)
+    path = tmp_path / "mine.toml"
+    before = signal.getsignal(signal.SIGALRM)
+    path.write_text(to_toml(small(camera={"stand_off_mm": 3.0})))
+    with pytest.raises(typer.Exit):
+        check_command.check(str(path))
+    assert looked == [True]
+    words = f"next: phytac advise {path} evaluates more changes (minutes)\n"
+    assert capsys.readouterr().out == words
+    assert signal.getsignal(signal.SIGALRM) == before
+    path.write_text(to_toml(small(wall={"thickness_mm": 0.08})))
+    with pytest.raises(typer.Exit):
+        check_command.check(str(path))
+    assert looked == [True]
+    assert "looks like cm" in capsys.readouterr().err
 
 
 def test_a_rule_that_advice_satisfies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,6 +135,9 @@ def test_a_folder_gives_one_row_per_frame(toy: Path) -> None:
     assert re.search(r"#0 4\.\d\d N at", lines[2])
     assert "#1 " in lines[2]
     assert re.search(r"^4 frames in \d+\.\d s, 0 unread, 0 skipped, 0 missed, \d with", besides)
+    assert besides.splitlines()[-1].startswith("next: give --rest FRAME")
+    _, besides = run(toy / "decoder", toy / "frames", "--fps", "10", "--rest-first", "1")
+    assert "next: " not in besides
 
 
 def test_a_shell_that_looks_the_same_when_turned_is_reported_once(

@@ -83,6 +83,11 @@ def test_assumptions_are_what_the_paper_does_not_state() -> None:
         ),
         ({"wall": {"thickness_mm": "thick"}}, "wall.thickness_mm: input should be a valid number"),
         (
+            {"wall": {"thickness_mm": "1.5 mm"}},
+            r"wall.thickness_mm: write 1.5, without unit or quotes \(got '1.5 mm'\)",
+        ),
+        ({"layout": {"rows": "12 rows"}}, "layout.rows: write 12, without unit or quotes"),
+        (
             {"wall": {"thickness_mm": float("nan")}},
             "wall.thickness_mm: input should be a finite number",
         ),

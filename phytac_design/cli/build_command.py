@@ -175,7 +175,7 @@ def _verdict(report: dict[str, Any]) -> str:
     return (
         f"{report['markers']['count']} markers: {seen['occluded']} hidden, {seen['fused']} fused "
         f"(must be 0), smallest gap of one colour {seen['min_gap_px']:.1f} px (needs more than "
-        f"{FUSED_PX:g}); {report['under_load']['sentence']} 10 N has at best a standard deviation "
+        f"{FUSED_PX:g}). {report['under_load']['sentence']} 10 N has at best a standard deviation "
         f"of {bound['force_N_median']:.2f} N (median over the receptors; less is better)"
     )
 

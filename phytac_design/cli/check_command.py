@@ -5,11 +5,14 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, SeedOption, say
-from phytac_design.cli.output import next_step, print_json, resumable
+from phytac_design.cli.output import next_step, print_json, resumable, time_limit
 from phytac_shapes.errors import DesignError, PhytacError
 
 if TYPE_CHECKING:
     from phytac_design.design.spec import Design
+
+LOOK_S = 30.0
+"""A reader of the faults waits no longer for a repair."""
 
 
 def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = False) -> None:
@@ -18,6 +21,7 @@ def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = Fa
     All faults are listed, and a change that repairs them if one is found within seconds.
     """
     from phytac_design.design.design_file import load_design
+    from phytac_design.design.unit_hints import unit_hints
     from phytac_design.rules.design_review import checkup
 
     loaded = load_design(design)
@@ -25,7 +29,7 @@ def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = Fa
         report = checkup(loaded, seed=seed)
     except DesignError as error:
         _print_faults(loaded, error, as_json=as_json)
-        if not as_json:
+        if not as_json and not unit_hints(loaded.model_dump()):
             _suggest_repair(design, refused=True, seed=seed)
         raise typer.Exit(error.exit_code) from None
     if as_json:
@@ -117,21 +121,25 @@ def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
     if design.layout.wanted > markers_max:
         next_step(f"phytac advise {name} looks for changes that repair this (minutes)")
         return
-    say("looking for a change that repairs this (Ctrl-C to stop)")
+    say(f"looking for a change that repairs this, for {LOOK_S:g} s at most (Ctrl-C to stop)")
+    late = False
     with resumable("stopped looking"):
         try:
-            if refused:
-                pieces = advise(design, PRESETS["draft"], checks=2, seed=seed).pieces
-                words = pieces[0].words if pieces else ""
-            else:
-                found = quick_repair(design, seed=seed)
-                words = found[0] if found else ""
+            with time_limit(LOOK_S):
+                if refused:
+                    pieces = advise(design, PRESETS["draft"], checks=2, seed=seed).pieces
+                    words = pieces[0].words if pieces else ""
+                else:
+                    found = quick_repair(design, seed=seed)
+                    words = found[0] if found else ""
         except PhytacError:
             # Such as markers that cannot even be placed.
             words = ""
+        except TimeoutError:
+            words, late = "", True
     if words:
         typer.echo(f"`phytac advise {name}` can repair this: {words}")
-    elif refused:
+    elif refused and not late:
         typer.echo("no change of one field by a few steps repairs this: correct the fields above")
     else:
         next_step(f"phytac advise {name} evaluates more changes (minutes)")

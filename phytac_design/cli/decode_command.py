@@ -42,6 +42,11 @@ if TYPE_CHECKING:
     from phytac_decoder.serving.sensor_loop import Progress
     from phytac_decoder.serving.wire_protocol import Message
 
+GIVE_REST = (
+    "give --rest FRAME, a picture of the unloaded sensor in the same light: forces are measured "
+    "from it"
+)
+
 
 Estimator = Literal["fem", "fem_nn", "fem_nn_identity", "koi_inverse", "auto"]
 
@@ -54,7 +59,10 @@ def decode(
     mount: MountOption = "bench",
     stiffness_change: StiffnessOption = 2.0,
     estimator: Annotated[
-        Estimator | None, typer.Option(help="Force estimator; the decoder's best if not given.")
+        Estimator | None,
+        typer.Option(
+            help="Force estimator; auto, or koi_inverse without its tables, if not given."
+        ),
     ] = None,
     fps: Annotated[
         float | None,
@@ -118,6 +126,9 @@ def decode(
             pace=False,
         )
         _decode_recording(session, files, moment_about, as_json=as_json)
+    if not (rest or rest_first or as_json):
+        # Rows are on the other stream.
+        say(f"next: {GIVE_REST}")
 
 
 def is_image(where: str) -> bool:
@@ -179,7 +190,7 @@ def _decode_frame(
     )
     normals = messages.normals(np.array([one.point_mm for one in contacts]).reshape(-1, 3))
     net = wrench_fields(messages.wrench(reading), moment_about)
-    for warning in (*bundle.limits(), *reading.warnings):
+    for warning in (*bundle.limits(chosen), *reading.warnings):
         say(f"warning: {warning}")
     if as_json:
         result: dict[str, Any] = {
@@ -202,7 +213,7 @@ def _decode_frame(
             ],
             **net,
             "warnings": reading.warnings,
-            "limits": bundle.limits(),
+            "limits": bundle.limits(chosen),
         }
         if regions:
             result["regions"] = {name: round(force, 4) for name, force in region_N.items()}
@@ -225,12 +236,7 @@ def _decode_frame(
         f"the frame is {'doubtful, see the warnings' if doubts else 'good'}: "
         f"{measured.found.mean():.0%} of the markers found (needs {FOUND_WELL:.0%})"
     )
-    next_step(
-        f"phytac live {folder} 0 shows forces of a camera"
-        if rest
-        else "give --rest FRAME, a picture of the unloaded sensor in the same light: forces are "
-        "measured from it"
-    )
+    next_step(f"phytac live {folder} 0 shows forces of a camera" if rest else GIVE_REST)
 
 
 def _print_loads(bundle: "Bundle", reading: "Reading") -> None:
@@ -339,7 +345,7 @@ def _decode_recording(
         kept = open_recorders(
             stack, contacts, files.get("--record-regions"), messages, mcap=files.get("--mcap")
         )
-        for limit in session.bundle.limits():
+        for limit in session.bundle.limits(session.estimator):
             say(f"warning: {limit}")
         stream = Stream(
             source=frames,

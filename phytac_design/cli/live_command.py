@@ -82,7 +82,7 @@ def live(
         view = stack.enter_context(LiveView(messages.hello(), port=port, tare=session.tare.tare))
         kept = open_recorders(stack, record, None, messages)
         report(f"{session.bundle.design}: {frames.description}; look at {view.url}; Ctrl-C stops")
-        for limit in session.bundle.limits():
+        for limit in session.bundle.limits(session.estimator):
             report(f"warning: {limit}")
         stream = Stream(
             source=frames,

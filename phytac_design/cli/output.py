@@ -1,6 +1,8 @@
 """What the commands print, and how a long one ends."""
 
 import json
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -25,6 +27,26 @@ def names_of(text: str) -> list[str]:
 def next_step(text: str) -> None:
     """Last line of a command: what to run or do now."""
     typer.echo(f"next: {text}")
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Raise TimeoutError after so many seconds; without signals (Windows, a thread) never."""
+    on_time = hasattr(signal, "SIGALRM") and threading.current_thread() is threading.main_thread()
+    if not on_time:
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"not done within {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @contextmanager

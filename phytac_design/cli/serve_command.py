@@ -38,7 +38,8 @@ FpsOption = Annotated[
     ),
 ]
 EstimatorOption = Annotated[
-    str | None, typer.Option(help="Force estimator; the bundle's best if not given.")
+    str | None,
+    typer.Option(help="Force estimator; auto, or koi_inverse without its tables, if not given."),
 ]
 RestOption = Annotated[
     list[Path] | None,
@@ -215,7 +216,7 @@ def serve(
             )
         )
         kept = open_recorders(stack, record, record_regions, messages)
-        for limit in loaded.limits():
+        for limit in loaded.limits(session.estimator):
             report(f"warning: {limit}")
         if not (server.host.startswith("127.") or server.host == "::1"):
             report(

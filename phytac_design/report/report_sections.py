@@ -433,8 +433,8 @@ def sections_of(context: Context, report: Mapping[str, Any]) -> list[tuple[str, 
             )
             + "<p>Contacts anywhere on the surface, between receptors too:</p>"
             + table("decoder_anywhere")
-            + "<p>Contacts that trip no switch cannot be decoded and are counted apart.</p>"
-            + figure_names.facts(learnt),
+            + "<p>Contacts that trip no switch are counted apart: the motion of the markers "
+            "alone shows them.</p>" + figure_names.facts(learnt),
         ),
         (
             "Assumptions",

@@ -144,6 +144,9 @@ def test_limits_name_markers_and_switches() -> None:
     switches, markers = bundle.limits()
     assert "1 of 12 switches cannot be read well (8)" in switches
     assert f"cannot be used at {len(useless)} of 12 markers" in markers
+    # `auto` does not need K·u.
+    assert bundle.limits("fem") == bundle.limits()
+    assert bundle.limits("auto") == [switches]
     facts = limit_facts(bundle)
     assert facts["switches_unreadable"] == [8]
     assert facts["fem_unusable"] == useless.tolist()

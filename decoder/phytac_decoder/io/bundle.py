@@ -240,9 +240,12 @@ class Bundle:
         motion = tabulate_camera_motion(self.cameras, self.read_by, self.head_mm, MOUNTS[mount])
         return replace(self, model=self.model.with_camera_motion(motion, self.noise_centroid_px))
 
-    def limits(self) -> list[str]:
-        """Return what this sensor cannot read in any frame, one sentence each."""
-        return [*orientation_notes(self), *limits_of(self)]
+    def limits(self, estimator: str | None = None) -> list[str]:
+        """Return what this sensor cannot read in any frame, one sentence each.
+
+        Limits of other estimators are left out where one is given.
+        """
+        return [*orientation_notes(self), *limits_of(self, estimator)]
 
 
 def save_bundle(bundle: Bundle, folder: Path) -> None:

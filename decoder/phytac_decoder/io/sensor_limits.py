@@ -69,7 +69,7 @@ def orientation_notes(bundle: "Bundle") -> list[str]:
     return [text]
 
 
-def limits_of(bundle: "Bundle") -> list[str]:
+def limits_of(bundle: "Bundle", estimator: str | None = None) -> list[str]:
     """Each limit as a sentence; empty for none."""
     out = []
     hidden = ~bundle.tips.readable & (bundle.tips.red_on_px <= RED_AREA_MIN_px)
@@ -125,7 +125,7 @@ def limits_of(bundle: "Bundle") -> list[str]:
             f"{NOISE_SHARE_MAX * bundle.force_max_N:g} N"
         )
     weak = np.flatnonzero(played & ~bundle.stiffness_usable)
-    if len(weak):
+    if len(weak) and (estimator is None or estimator in bundle.model.by_stiffness):
         noise = bundle.noise_centroid_px * bundle.model.stiffness_noise_N_px
         out.append(
             f"{', '.join(bundle.model.by_stiffness)} cannot be used at {len(weak)} of "

@@ -143,11 +143,12 @@ def change_by(base: Mapping[str, float], slope: Sensitivity, goal: str, amount: 
 
 def _largest(base: EvaluatedDesign, slope: Sensitivity, goal: str, sign: float) -> Change:
     """Largest change within the rules and the predicted margins, or the reason against it."""
-    why = ""
+    found: Change | None = None
     for amount in slope.variable.amounts(sign):
         change = change_by(base.figures, slope, goal, amount)
         if change.predicted_gain < least_gain(goal):
-            break
+            # What a larger change broke does not say what this one would.
+            return found or change
         why = broken_margin(base.figures, change.predicted)
         if not why:
             try:
@@ -156,9 +157,10 @@ def _largest(base: EvaluatedDesign, slope: Sensitivity, goal: str, sign: float) 
                 why = broken_margin(base.figures, {"strain": strain})
             except PhytacError as error:
                 why = str(error)
+        found = replace(change, reason=why)
         if not why:
             break
-    return replace(change, reason=why)
+    return found or change
 
 
 def broken_margin(before: Mapping[str, float], after: Mapping[str, float]) -> str:

@@ -1,6 +1,9 @@
 """Known defects get advice that repairs them; a change that breaks a rule is no advice."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.stages import loaded_views_stage
+from phytac_design.study.advice import design_changes
 from phytac_design.study.advice import design_evaluation as judging
 from phytac_design.study.advice.advice_report import as_dict, text, write_advice
 from phytac_design.study.advice.advise import Advice, ChangeTester, advise
@@ -203,3 +207,27 @@ def test_files_rebuild_each_piece(of_thick_wall: Advice, tmp_path: Path) -> None
     assert load_design(str(tmp_path / "advice_1.toml")) == of_thick_wall.pieces[0].design
     assert len(as_dict(of_thick_wall)["advice"]) == len(of_thick_wall.pieces)
     assert len(as_dict(of_thick_wall)["rows"]) == ROWS
+
+
+@dataclass(frozen=True)
+class Move:
+    """A change of so many steps, of which each gains 1."""
+
+    amount: float
+    predicted: dict[str, float]
+    reason: str = ""
+
+    @property
+    def predicted_gain(self) -> float:
+        return self.amount
+
+
+def test_a_change_is_rejected_for_what_it_broke_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not for what a larger one broke."""
+    slope: Any = SimpleNamespace(variable=SimpleNamespace(amounts=lambda _: [4.0, 2.0, 1.0]))
+    base: Any = SimpleNamespace(figures={})
+    monkeypatch.setattr(design_changes, "change_by", lambda _a, _b, _c, steps: Move(steps, {}))
+    monkeypatch.setattr(design_changes, "least_gain", lambda _: 2.0)
+    monkeypatch.setattr(design_changes, "broken_margin", lambda *_: "too thin")
+    found = design_changes._largest(base, slope, "goal", 1.0)
+    assert (found.amount, found.reason) == (2.0, "too thin")
