@@ -128,8 +128,8 @@ class TomlFileKind:
         if self.label and len(path) > 1 and path[1].isdigit():
             table = data[path[0]][int(path[1])]
             where += f" ({table.get(self.label, '?')})" if isinstance(table, dict) else ""
-        number = re.match(r"\s*([-+]?\d+(?:\.\d+)?)", str(got))
-        if kind in {"float_parsing", "float_type", "int_parsing", "int_type"} and number:
+        number = re.match(r"\s*([-+]?\d+(?:\.\d+)?)", got) if isinstance(got, str) else None
+        if kind in {"float_parsing", "int_parsing"} and number:
             return f"{where}: write {number[1]}, without unit or quotes (got {_literal(got)})"
         message = item["msg"][0].lower() + item["msg"][1:]
         shown = "" if isinstance(got, dict | BaseModel) else f" (got {_literal(got)})"
