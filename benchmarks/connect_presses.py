@@ -10,11 +10,11 @@ import numpy as np
 
 from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_design.design.spec import Design
+from phytac_design.fabrication.simulators.simulator_part import base_z_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.workflows.export_simulator import export_simulator
-from phytac_design.workflows.mujoco_sensor import base_z_mm_of
 from phytac_shapes.arrays import FloatArray
 
 BALL_m = 0.003
@@ -68,7 +68,7 @@ class PressRig:
         point, normal = surface.point(uv[None])[0], surface.normal(uv[None])[0]
         along = tangent_frame(surface, uv[None])[0]
         mujoco.mj_resetData(self.model, data)
-        base = np.array([0.0, 0.0, base_z_mm_of(self.sensor.design)])
+        base = np.array([0.0, 0.0, base_z_mm(Sensor(self.sensor.design))])
         data.mocap_pos[0] = 1e-3 * (point - base) + (BALL_m + 2e-4) * normal
         axes = np.stack([along[0], np.cross(normal, along[0]), normal], axis=1)
         mujoco.mju_mat2Quat(data.mocap_quat[0], axes.ravel())

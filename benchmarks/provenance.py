@@ -1,7 +1,7 @@
 """What made the rows of a part: commit, day, machine, command, seconds, and the code behind them.
 
 Rows are *current* as long as no module that their part imports, directly or not, has changed but
-for comments and docstrings, nor a file of ``phytac_design/data``. Hashes are of Python 3.11, the
+for comments and docstrings, nor a data file of the packages. Hashes are of Python 3.11, the
 version of ``requirements.lock``: others have other syntax trees.
 """
 
@@ -22,11 +22,15 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("benchmarks", "phytac_decoder", "phytac_design", "phytac_shapes", "verification")
 COMMANDS = {
     "benchmarks.build": "phytac_design.cli.app",
+    "benchmarks.fabrication_switch": "phytac_design.cli.app",
+    "benchmarks.page": "phytac_design.cli.app",
     "benchmarks.page_studio": "phytac_design.cli.app",
     "benchmarks.stability": "verification",
     "benchmarks.study_dask": "phytac_design.cli.app",
 }
 """What modules run as a process of its own: a module, or a package with all that is in it."""
+DATA_FILES = frozenset({".css", ".html", ".js", ".svg", ".toml"})
+"""Names of data files end so."""
 WITHOUT_EFFECT = frozenset({"benchmarks.harness", "benchmarks.provenance"})
 """They write rows and make none."""
 
@@ -50,7 +54,7 @@ def code_digest(module: str, *, packages: Sequence[str] = PACKAGES) -> str:
     for name in sorted(names - WITHOUT_EFFECT):
         whole.update(f"{name} {_module_digest(name)}\n".encode())
     if "phytac_design" in packages:
-        whole.update(_data_digest().encode())
+        whole.update(_data_digest(names).encode())
     return whole.hexdigest()[:16]
 
 
@@ -78,29 +82,38 @@ def _file(name: str) -> Path:
 
 def bare_code(text: str) -> str:
     """Syntax tree of a source file without docstrings; it differs between versions of Python."""
-    tree = ast.parse(text)
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list):
-            node.body = [item for item in body if not _is_text(item)]  # type: ignore[attr-defined]
-    return ast.dump(tree)
+    return ast.dump(_WithoutTexts().visit(ast.parse(text)))
 
 
-def _is_text(node: ast.AST) -> bool:
-    """Whether a statement is a string, as docstrings are."""
-    return (
-        isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )
+class _WithoutTexts(ast.NodeTransformer):
+    """Leaves out statements that are strings, as docstrings are."""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        return None if text else node
+
+
+def _data_digest(names: set[str]) -> str:
+    """Hash of shipped designs and studies, and of the data files in the packages of modules."""
+    packages = names | {name.rpartition(".")[0] for name in names}
+    whole = hashlib.sha256()
+    for path, package in _data_files():
+        if package in packages or path.suffix == ".toml":
+            whole.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return whole.hexdigest()
 
 
 @cache
-def _data_digest() -> str:
-    whole = hashlib.sha256()
-    for path in sorted((ROOT / "phytac_design" / "data").rglob("*.toml")):
-        whole.update(path.name.encode() + path.read_bytes())
-    return whole.hexdigest()
+def _data_files() -> list[tuple[Path, str]]:
+    """Data files of the packages, each with the package that it lies in, in it or deeper."""
+    found = []
+    for base in (ROOT, ROOT / "decoder", ROOT / "shapes"):
+        for top in base.glob("phytac_*"):
+            for path in sorted(top.rglob("*")):
+                if path.suffix in DATA_FILES:
+                    folder = next(up for up in path.parents if (up / "__init__.py").exists())
+                    found.append((path, ".".join(folder.relative_to(base).parts)))
+    return found
 
 
 def record(module: str, command: str) -> dict[str, Any]:

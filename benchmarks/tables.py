@@ -191,7 +191,7 @@ def misses(results: dict[str, dict[str, Any]]) -> str:
             if not of:
                 raise LookupError(f"no group in {REASONS.name} for {name}: {row['case']}; add it")
             of[0].append((row, data["parts"][row["part"]]))
-    parts = [OPEN, "| what | rows | farthest off | target | why | what would mend it |\n"]
+    parts = [OPEN, "| what | rows | farthest off | target | why | what would fix it |\n"]
     parts.append("|---|---|---|---|---|---|\n")
     for group, rows in zip(GROUPS, own, strict=True):
         name, pattern = group["benchmark"], group["rows"]
@@ -201,7 +201,7 @@ def misses(results: dict[str, dict[str, Any]]) -> str:
         value = f"{cell(row['value'])} {row['unit']}".strip()
         value += "" if is_current(part) else EARLIER
         words = [group["what"], str(len(rows)), f"{value} ({cell(row['case'])})", row["target"]]
-        parts.append("| " + " | ".join([*words, group["reason"], group["mend"]]) + " |\n")
+        parts.append("| " + " | ".join([*words, group["reason"], group["fix"]]) + " |\n")
     return "".join(parts)
 
 

@@ -317,6 +317,10 @@ def test_the_recordings_own_beginning_is_its_rest(toy: Path, tmp_path: Path) -> 
     assert json.loads(same.splitlines()[2])["total_N"] == pytest.approx(totals[2], abs=0.05)
     with refused("rest-options-exclusive"):
         run(toy / "decoder", frames, "--rest", frames / "0.png", "--rest-first", "1")
+    for source in (frames, frames / "2.png"):
+        _, pressed = run(toy / "decoder", source, "--rest", frames / "2.png")
+        assert "warning: switches are on in the rest frame, those of receptors 14" in pressed
+    assert "switches are on in the rest" not in besides
     with refused("rest-frames-too-few"):
         run(toy / "decoder", frames, "--rest-first", "4")
 

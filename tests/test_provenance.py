@@ -57,6 +57,26 @@ def test_a_module_that_is_run_as_a_process_counts(
     assert digest("first") != before
 
 
+def test_data_files_of_what_is_imported_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    files = dict(provenance._data_files())
+    page = next(path for path in files if path.name == "studio.css")
+    design = next(path for path in files if path.name == "cone.toml")
+    assert files[page] == "phytac_design.studio"
+    names = {"studio": {"phytac_design.studio.app"}, "other": {"phytac_design.engine.cache"}}
+    before = {key: provenance._data_digest(one) for key, one in names.items()}
+    read_bytes = Path.read_bytes
+    changed = page
+
+    def read(path: Path) -> bytes:
+        return read_bytes(path) + (b"." if path == changed else b"")
+
+    monkeypatch.setattr(Path, "read_bytes", read)
+    assert provenance._data_digest(names["studio"]) != before["studio"]
+    assert provenance._data_digest(names["other"]) == before["other"]
+    changed = design
+    assert provenance._data_digest(names["other"]) != before["other"]
+
+
 def test_the_decoders_code_is_behind_its_rows() -> None:
     graph = provenance._graph(provenance.PACKAGES)
     for benchmark in ("camera", "demo_frames", "hands"):

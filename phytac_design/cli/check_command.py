@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, SeedOption, say
-from phytac_design.cli.output import next_step, print_json, resumable, time_limit
+from phytac_design.cli.output import TimeLimitError, next_step, print_json, resumable, time_limit
 from phytac_shapes.errors import DesignError, PhytacError
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
         except PhytacError:
             # Such as markers that cannot even be placed.
             words = ""
-        except TimeoutError:
+        except TimeLimitError:
             words, late = "", True
     if words:
         typer.echo(f"`phytac advise {name}` can repair this: {words}")

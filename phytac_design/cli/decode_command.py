@@ -161,6 +161,7 @@ def _decode_frame(
     from phytac_decoder.pipeline.colour_calibration import calibrate_rest
     from phytac_decoder.pipeline.decode import FOUND_WELL, measure_frame
     from phytac_decoder.pipeline.frame_reading import marker_loads, read
+    from phytac_decoder.pipeline.rest_frames import pressed_note
     from phytac_decoder.serving.sensor_loop import check_estimator
     from phytac_decoder.serving.wire_protocol import MessageBuilder, wrench_fields
 
@@ -170,7 +171,10 @@ def _decode_frame(
     regions = named_regions(regions_file, bundle, folder, design)
     images = [read_image(Path(where)) for where in frames]
     if rest:
-        bundle = calibrate_rest(bundle, [read_image(path) for path in rest])
+        unloaded = [read_image(path) for path in rest]
+        bundle = calibrate_rest(bundle, unloaded)
+        if note := pressed_note(measure_frame(bundle, unloaded).koi):
+            say(f"warning: {note}: forces there are too small")
     messages = MessageBuilder(bundle=bundle, estimator=chosen, moment_about_mm=moment_about)
     measured = measure_frame(bundle, images)
     reading = read(bundle, measured, chosen)

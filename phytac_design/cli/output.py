@@ -29,16 +29,20 @@ def next_step(text: str) -> None:
     typer.echo(f"next: {text}")
 
 
+class TimeLimitError(BaseException):
+    """Time is up; no Exception, so that no handler of the code that runs takes it for its own."""
+
+
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError after so many seconds; without signals (Windows, a thread) never."""
+    """Raise TimeLimitError after so many seconds; without signals (Windows, a thread) never."""
     on_time = hasattr(signal, "SIGALRM") and threading.current_thread() is threading.main_thread()
     if not on_time:
         yield
         return
 
     def stop(*_: object) -> None:
-        raise TimeoutError(f"not done within {seconds:g} s")
+        raise TimeLimitError(f"not done within {seconds:g} s")
 
     before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)

@@ -335,8 +335,9 @@ def open_session(
     from phytac_decoder.io.frame_sources import open_source
     from phytac_decoder.io.recorded_frames import read_image
     from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+    from phytac_decoder.pipeline.decode import measure_frame
     from phytac_decoder.pipeline.drift import DriftReference
-    from phytac_decoder.pipeline.rest_frames import take_rest_frames
+    from phytac_decoder.pipeline.rest_frames import pressed_note, take_rest_frames
     from phytac_decoder.serving.exposure_monitor import with_exposure_check
     from phytac_decoder.serving.sensor_loop import check_estimator, follow_decoder, frame_decoder
     from phytac_decoder.serving.tare import TareDecoder
@@ -372,6 +373,8 @@ def open_session(
             stack.callback(begun.close)
         unloaded = take_rest_frames(bundle, begun, rest_first)
     calibrated = calibrate_rest(bundle, unloaded) if unloaded else bundle
+    if rest and (note := pressed_note(measure_frame(calibrated, unloaded).koi)):
+        say(f"warning: {note}: forces there are too small")
 
     def decoder_of(calibrated: "Bundle", unloaded: "Sequence[ImageArray]") -> "Decode":
         reference = DriftReference(calibrated) if drift else None

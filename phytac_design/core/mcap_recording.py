@@ -126,8 +126,5 @@ def _library() -> Any:
     try:
         from mcap.writer import Writer
     except ImportError:
-        raise MissingPartError(
-            "missing-library",
-            "MCAP needs mcap; install it with: pip install 'phytac-design[recordings]'",
-        ) from None
+        raise MissingPartError.of_library("MCAP", "mcap", "recordings") from None
     return Writer

@@ -71,10 +71,7 @@ def parquet_library() -> Any:
         import pyarrow.csv
         import pyarrow.parquet
     except ImportError:
-        raise MissingPartError(
-            "missing-library",
-            "Parquet needs pyarrow; install it with: pip install 'phytac-design[design]'",
-        ) from None
+        raise MissingPartError.of_library("Parquet", "pyarrow", "design") from None
     return pa
 
 

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from phytac_design.core.kernels import kernel
 from phytac_design.optics.zbuffer import (
     EDGE_PX,
-    Pixel,
     Point,
-    Sides,
     View,
     corner,
     edge_normal,
@@ -143,14 +141,6 @@ def _misses(side: Linear) -> bool:
 
 
 @kernel
-def _turned_sides(a: Pixel, b: Pixel, c: Pixel, margin: float) -> Sides:
-    """Edges of a triangle that may turn either way."""
-    if (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0:
-        return sides(a, c, b, margin)
-    return sides(a, b, c, margin)
-
-
-@kernel
 def fill_edges(
     view: View,
     chosen: NDArray[np.int32],
@@ -194,7 +184,7 @@ def fill_edges(
         # Over the volume: their sum is the inverse depth.
         scale = 1.0 / volume
         na, nb, nc = edge_normal(p, q, scale), edge_normal(q, r, scale), edge_normal(r, p, scale)
-        lines, source = _turned_sides(a, b, c, margin), view.source[piece]
+        lines, source = sides(a, b, c, margin), view.source[piece]
         top = max(0, int(np.ceil(low - first - EDGE_PX)))
         for row in range(top, min(rows - 1, int(np.floor(high - first + EDGE_PX))) + 1):
             ends = span(lines, float(first + row), near, wide)

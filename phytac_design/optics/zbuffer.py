@@ -116,10 +116,12 @@ Sides = tuple[Line, Line, Line, Line]
 
 @kernel
 def sides(a: Pixel, b: Pixel, c: Pixel, margin: float) -> Sides:
-    """Edges of a triangle of positive area, moved out by ``margin`` px or a little more.
+    """Edges of a triangle, moved out by ``margin`` px or a little more.
 
     Horizontal edges are skipped: they bound the rows, not the columns within one.
     """
+    if (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0:
+        b, c = c, b
     left, left_2 = (-np.inf, 0.0, 0.0), (-np.inf, 0.0, 0.0)
     right, right_2 = (np.inf, 0.0, 0.0), (np.inf, 0.0, 0.0)
     for start, end in ((a, b), (b, c), (c, a)):
@@ -178,7 +180,7 @@ def _fill_straight(
             continue
         p, q, r = corner(view, piece, 0), corner(view, piece, 1), corner(view, piece, 2)
         if area < 0.0:  # Turn it, so that the inside of every edge has the same sign.
-            q, r, b, c = r, q, c, b
+            q, r = r, q
         nx, ny, nz, plane = _plane(p, q, r)
         if plane == 0.0:
             continue
@@ -239,8 +241,6 @@ def _fill_distorted(
         sign = 1.0 if volume > 0.0 else -1.0
         na, nb, nc = edge_normal(p, q, sign), edge_normal(q, r, sign), edge_normal(r, p, sign)
         scale = 1.0 / abs(volume)
-        if (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0:
-            b, c = c, b
         edges = sides(a, b, c, margin)
         first_row = max(0, int(np.ceil((low - y0) / step - EDGE_PX)))
         for row in range(first_row, min(rows - 1, int(np.floor((high - y0) / step + EDGE_PX))) + 1):

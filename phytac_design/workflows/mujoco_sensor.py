@@ -15,6 +15,7 @@ from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.simulators.simulator_part import base_z_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.indenter import FLAT, SPHERE, Indentations
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.run.virtual_sensor import VirtualSensor
@@ -89,7 +90,8 @@ class PhytacMujoco:
     pressed : Indentations
         Patches of the last frame: the truth that it is decoded from.
     elsewhere_N : float
-        Normal force at the last frame on rims and mount, which the sensor does not show.
+        Sum of the magnitudes of the last frame's other forces, which the sensor does not show: on
+        rims and mount, pulling, or of bodies that have sunk in by more than 5 mm.
 
     Raises
     ------
@@ -152,7 +154,7 @@ class PhytacMujoco:
         given = middle if patch_radius_mm is None else patch_radius_mm
         self._radius_mm = given if callable(given) else lambda _: float(given)
         self._indenter = SPHERE if indenter == "sphere" else FLAT
-        self._origin_mm = np.array([0.0, 0.0, base_z_mm_of(of_design)])
+        self._origin_mm = np.array([0.0, 0.0, base_z_mm(Sensor(of_design))])
         self._geoms = np.flatnonzero(model.geom_bodyid == self._body)
         self._number = 0
         self.reset(seed)
@@ -268,13 +270,6 @@ def _patches_of(rows: list[tuple[float, ...]], indenter: int) -> Indentations:
     )
 
 
-def base_z_mm_of(design: Design) -> float:
-    """Height of the exported part's origin in the sensor's frame, mm."""
-    from phytac_design.layout.sensor import Sensor
-
-    return base_z_mm(Sensor(design))
-
-
 def _library() -> Any:
     """The package mujoco.
 
@@ -286,8 +281,5 @@ def _library() -> Any:
     try:
         import mujoco
     except ImportError:
-        raise MissingPartError(
-            "missing-library",
-            "PhytacMujoco needs mujoco; install it with: pip install 'phytac-design[simulators]'",
-        ) from None
+        raise MissingPartError.of_library("PhytacMujoco", "mujoco", "simulators") from None
     return mujoco

@@ -68,3 +68,11 @@ class MissingPartError(PhytacError):
     """An optional part (library or system package) that this work needs is not installed."""
 
     exit_code = 6
+
+    @classmethod
+    def of_library(cls, work: str, library: str, extra: str) -> "MissingPartError":
+        """Return the error of a library that comes with an extra of phytac-design."""
+        return cls(
+            "missing-library",
+            f"{work} needs {library}; install it with: pip install 'phytac-design[{extra}]'",
+        )

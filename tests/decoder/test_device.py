@@ -344,6 +344,14 @@ def test_rest_frames_are_those_of_a_sensor_at_rest(
             take_rest_frames(toy_bundle(), open_source([str(tmp_path)]), 6)
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_rest_frames_of_a_pressed_sensor_are_refused(tmp_path: Path, count: int) -> None:
+    for number in range(count):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), toy_frame({14: 3.0}))
+    with refused("rest-frame-pressed"):
+        take_rest_frames(toy_bundle(), open_source([str(tmp_path)]), count)
+
+
 def test_single_damaged_pictures_are_skipped_without_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     world = install(monkeypatch, VirtualWorld(picture=idle, torn=lambda n: n % 5 == 4), lost_s=5.0)
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 
 from phytac_decoder.io.bundle import Bundle
@@ -40,21 +41,36 @@ def frame(number: int, image: ImageArray | None) -> Frame:
 
 @pytest.mark.parametrize("follow", [False, True])
 def test_what_presses_counts_as_nothing_afterwards(*, follow: bool) -> None:
-    # A newton moves its marker by a pixel: 3 N on marker 7, then 5 N.
-    image, more, decode = toy_frame({7: 3.0}), toy_frame({7: 5.0}), taring(follow=follow)
-    before = decode(frame(0, image))
+    # A newton moves its marker by a pixel: 3 N on marker 7 without its switch, then 5 N with it.
+    image, more, decode = (
+        toy_frame({7: 3.0}, tips=False),
+        toy_frame({7: 5.0}),
+        taring(follow=follow),
+    )
+    before = decode(frame(0, more))
     decode.tare()
-    readings = [decode(frame(1 + k, image)) for k in range(FRAMES)]
+    for k in range(FRAMES):
+        assert decode.result() is None
+        decode(frame(1 + k, image))
     assert decode.result() == {"done": True}
     assert decode.result() is None
-    after = decode(frame(50, more))
-    assert before.forces_N[7] == pytest.approx(3.0, abs=0.2)
-    # Frames are decoded as before until the last of them.
-    assert readings[-2].forces_N[7] == pytest.approx(3.0, abs=0.2)
     moved = decode._decode
-    assert readings[-1].forces_N[7] == pytest.approx(0.0, abs=0.2)
+    after = decode(frame(50, more))
+    assert before.forces_N[7] == pytest.approx(5.0, abs=0.2)
     assert after.forces_N[7] == pytest.approx(2.0, abs=0.3)
     assert decode._decode is moved
+
+
+def test_a_tare_of_a_pressed_sensor_is_refused() -> None:
+    decode = taring()
+    decode.tare()
+    for k in range(FRAMES):
+        pressed = decode(frame(k, toy_frame({7: 3.0})))
+    result = decode.result()
+    assert result is not None
+    assert (result["done"], result["code"]) == (False, "rest-frame-pressed")
+    assert "receptors 7 (1 in all)" in result["reason"]
+    assert pressed.forces_N[7] == pytest.approx(3.0, abs=0.2)
 
 
 @pytest.mark.parametrize("lost", [False, True])
@@ -148,10 +164,12 @@ def test_the_live_view_has_a_button() -> None:
 
 
 def test_the_server_tares(tmp_path: Path) -> None:
-    """A whole run: the second half of a pressed recording is decoded against itself."""
+    """A whole run: what moved marker 7 before its switch came on counts as nothing."""
     import threading
 
-    toy_recording(tmp_path, [{7: 3.0}] * 20)
+    _, folder = toy_recording(tmp_path, [{7: 5.0}] * 20)
+    for number in range(15):
+        cv2.imwrite(str(folder / f"frame_{number}.png"), toy_frame({7: 3.0}, tips=False))
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -177,6 +195,6 @@ def test_the_server_tares(tmp_path: Path) -> None:
     frames = [one for one in got if one["type"] == "frame"]
     ended = [one["sequence"] for one in frames if "tare" in one]
     assert len(ended) == 1
-    assert frames[0]["total_N"] == pytest.approx(3.0, abs=0.2)
-    assert frames[-1]["total_N"] == pytest.approx(0.0, abs=0.2)
+    assert frames[ended[0]]["tare"] == {"done": True}
+    assert frames[-1]["total_N"] == pytest.approx(2.0, abs=0.3)
     assert "asks for a new rest frame" in done.stderr

@@ -52,8 +52,8 @@ def toy_bundle() -> Bundle:
     )
 
 
-def toy_frame(pressed: Mapping[int, float] | None = None) -> ImageArray:
-    """The camera's view (120, 160, 3) with some markers pressed, by force in newtons."""
+def toy_frame(pressed: Mapping[int, float] | None = None, *, tips: bool = True) -> ImageArray:
+    """The camera's view (120, 160, 3) with some markers pressed, by force in N, and their tips."""
     rest, colour, _ = lattice()
     image = np.full((120 * SCALE, 160 * SCALE, 3), GREY, dtype=np.uint8)
 
@@ -66,7 +66,7 @@ def toy_frame(pressed: Mapping[int, float] | None = None) -> ImageArray:
         force = (pressed or {}).get(marker, 0.0)
         moved = place + np.array([force, 0.0])
         disc(moved, 3.5, ("blue", "green")[colour[marker]])
-        if force:
+        if force and tips:
             disc(moved + TIP, 2.0, "red")
     return np.asarray(cv2.resize(image, (160, 120), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 

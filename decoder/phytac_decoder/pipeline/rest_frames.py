@@ -9,7 +9,7 @@ from phytac_decoder.io.frame import Source
 from phytac_decoder.io.frame_sources import first_frames
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
-from phytac_shapes.arrays import ImageArray
+from phytac_shapes.arrays import ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
 
@@ -19,16 +19,24 @@ def take_rest_frames(bundle: Bundle, source: Source, count: int) -> list[ImageAr
     Raises
     ------
     InputError
-        If markers moved while they were taken, see :func:`check_steady`, or see
+        If the sensor was not at rest, see :func:`check_at_rest`, or see
         :func:`phytac_decoder.io.frame_sources.first_frames`.
     """
     taken = first_frames(source, count)
-    if count > 1:
-        check_steady(calibrate_rest(bundle, taken.mean), taken.first, taken.last)
+    check_at_rest(calibrate_rest(bundle, taken.mean), taken.first, taken.last)
     return taken.mean
 
 
-def check_steady(bundle: Bundle, first: Sequence[ImageArray], last: Sequence[ImageArray]) -> None:
+def pressed_note(koi: IntArray) -> str:
+    """Say which switches (k,) are on in rest frames; empty if none is."""
+    names_max = 5
+    if not koi.size:
+        return ""
+    names = ", ".join(map(str, koi[:names_max])) + (", …" if koi.size > names_max else "")
+    return f"switches are on in the rest frame, those of receptors {names} ({koi.size} in all)"
+
+
+def check_at_rest(bundle: Bundle, first: Sequence[ImageArray], last: Sequence[ImageArray]) -> None:
     """Refuse rest frames of a sensor that was not at rest.
 
     Parameters
@@ -41,7 +49,7 @@ def check_steady(bundle: Bundle, first: Sequence[ImageArray], last: Sequence[Ima
     Raises
     ------
     InputError
-        If switches changed, all markers moved together, or some moved against the others.
+        If switches are on, all markers moved together, or some moved against the others.
     """
     # The scatter of all markers shows what is noise; weak markers scatter more than others.
     motion_max_px, scatters, few = 0.2, 8.0, 2
@@ -53,6 +61,12 @@ def check_steady(bundle: Bundle, first: Sequence[ImageArray], last: Sequence[Ima
     limit_px = np.maximum(scatters * np.median(off, axis=0) / 0.6745, motion_max_px)
     pressed = np.count_nonzero((off > limit_px).any(axis=1)) > few
     switched = set(before.koi.tolist()) != set(after.koi.tolist())
+    if after.koi.size and not switched:
+        raise InputError(
+            "rest-frame-pressed",
+            f"{pressed_note(after.koi)}: what presses there would count as nothing; lift it and "
+            "start again",
+        )
     if switched or pressed or np.hypot(*common) > motion_max_px:
         raise InputError(
             "rest-frames-unsteady",

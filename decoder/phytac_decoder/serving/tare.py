@@ -11,7 +11,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.frame_reading import Reading
-from phytac_decoder.pipeline.rest_frames import check_steady
+from phytac_decoder.pipeline.rest_frames import check_at_rest
 from phytac_decoder.serving.sensor_loop import Decode
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError, PhytacError
@@ -83,7 +83,7 @@ class TareDecoder:
             return
         mean = [np.round(part / FRAMES).astype(np.uint8) for part in self._sum]
         calibrated = calibrate_rest(self._bundle, mean)
-        check_steady(calibrated, self._taken[0], self._taken[-1])
+        check_at_rest(calibrated, self._taken[0], self._taken[-1])
         self._decode = self._make(calibrated, mean)
         self._end({"done": True})
 

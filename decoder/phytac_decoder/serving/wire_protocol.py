@@ -155,7 +155,7 @@ class MessageBuilder:
                 "latency": "ms",
                 "frame": "sensor",
             },
-            "limits": bundle.limits(),
+            "limits": bundle.limits(self.estimator),
         }
         if self.regions:
             out["regions"] = [

@@ -77,10 +77,7 @@ def usd_library() -> Any:
     try:
         from pxr import Gf, Kind, Tf, Usd, UsdGeom, UsdPhysics, Vt
     except ImportError:
-        raise MissingPartError(
-            "missing-library",
-            "USD needs usd-core; install it with: pip install 'phytac-design[usd]'",
-        ) from None
+        raise MissingPartError.of_library("USD", "usd-core", "usd") from None
     return SimpleNamespace(
         Gf=Gf, Kind=Kind, Tf=Tf, Usd=Usd, UsdGeom=UsdGeom, UsdPhysics=UsdPhysics, Vt=Vt
     )

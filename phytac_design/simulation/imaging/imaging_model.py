@@ -63,13 +63,11 @@ class MarkerReading:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RestObservation:
-    """What the unloaded sensor shows, measured in its own frames; arrays over n markers.
+class CentroidNoise:
+    """Positions of n markers at rest, and what moves them though nothing presses.
 
     Attributes
     ----------
-    bundle : Bundle
-        The design's marker detector, set to where this instance's markers are.
     rest_px : (n, 2) float
         Rest positions: mean of eight frames; NaN where not found.
     noise_px : (n, 2) float
@@ -80,7 +78,6 @@ class RestObservation:
         What this instance's own tip covers, less what the decoder allows for.
     """
 
-    bundle: Bundle
     rest_px: FloatArray
     noise_px: FloatArray
     grid_px: FloatArray
@@ -88,25 +85,32 @@ class RestObservation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CentroidErrors:
+class RestObservation(CentroidNoise):
+    """What the unloaded sensor shows, measured in its own frames.
+
+    Attributes
+    ----------
+    bundle : Bundle
+        The design's marker detector, set to where this instance's markers are.
+    """
+
+    bundle: Bundle
+
+
+@dataclass(frozen=True, kw_only=True)
+class CentroidErrors(CentroidNoise):
     """Errors of the centroids of one sensor instance; arrays over n markers.
 
     Attributes
     ----------
     number : int
         Of the instance.
-    rest_px, noise_px, grid_px, tip_bias_px : (n, 2) float
-        See :class:`RestObservation`.
     place_px : (n, 2) float
         Projected centroid of the paint at rest.
     """
 
     number: int
-    rest_px: FloatArray
     place_px: FloatArray
-    noise_px: FloatArray
-    grid_px: FloatArray
-    tip_bias_px: FloatArray
 
     def added(
         self,
@@ -296,7 +300,7 @@ class ImagingModel:
         return out
 
     @cached_property
-    def errors(self) -> "CentroidErrors":
+    def errors(self) -> CentroidErrors:
         """Errors of centroids in this instance's frames.
 
         Raises

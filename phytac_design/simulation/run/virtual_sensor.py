@@ -197,7 +197,6 @@ class VirtualSensor:
                     *places.axes[place] @ along,
                 ]
             )
-
             states.append(
                 ContactState(
                     place=place,

@@ -25,10 +25,7 @@ def _library() -> Any:
     try:
         import distributed
     except ImportError:
-        raise MissingPartError(
-            "missing-library",
-            "--scheduler needs dask; install it with: pip install 'phytac-design[study]'",
-        ) from None
+        raise MissingPartError.of_library("--scheduler", "dask", "study") from None
     return distributed
 
 

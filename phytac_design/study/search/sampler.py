@@ -82,10 +82,7 @@ def optuna_library() -> Any:
     try:
         import optuna
     except ImportError:
-        raise MissingPartError(
-            "missing-library",
-            "`phytac optimise` needs optuna; install it with: pip install 'phytac-design[study]'",
-        ) from None
+        raise MissingPartError.of_library("`phytac optimise`", "optuna", "study") from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
 
