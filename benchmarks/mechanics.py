@@ -26,6 +26,7 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.mesh_writers import write_inp
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 from verification import shells as cases
 
 MARKER = 184  # row 11 of 23
@@ -70,13 +71,16 @@ def thin(table: Table, *, quick: bool) -> None:
     for n in (32,) if quick else (32, 64):
         for t in (0.1, 0.01, 0.001, 1e-4):
             for jitter, nodes in ((0.0, "regular"), (0.25, "jittered ±25 %")):
-                ratio = cases.hyperboloid_case(n, thickness=t, jitter=jitter).ratio()
-                error = abs(ratio - 1.0) * 100.0
                 row = f"free hyperboloid, t/L = {t:g}, {n} a side, nodes {nodes}"
                 source = "published reference; below t = 0.001 its limit of pure bending"
-                locks = "" if error <= 5.0 else "; locks; falls with refinement"
-                note = f"computed / reference = {ratio:.5f}{locks}"
-                table.add(row, error, "%", 0.0, source, "<= 5", note)
+                try:
+                    ratio = cases.hyperboloid_case(n, thickness=t, jitter=jitter).ratio()
+                except NumericalError as error:
+                    row += ": more than 5 % wrong and not refused"
+                    table.add(row, 0, "", 0.0, source, "== 0", f"refused: {error}")
+                    continue
+                note = f"computed / reference = {ratio:.5f}"
+                table.add(row, abs(ratio - 1.0) * 100.0, "%", 0.0, source, "<= 5", note)
 
 
 def jittered(table: Table) -> None:

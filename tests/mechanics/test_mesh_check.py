@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.meshing.mesh_check import check_directors, check_quads
+from phytac_design.mechanics.meshing.mesh_check import (
+    check_directors,
+    check_distortion,
+    check_quads,
+)
 from phytac_shapes.arrays import IntArray
 from tests.mechanics.conftest import Prototype
 from tests.refusals import refused
@@ -65,3 +69,23 @@ def test_a_tube_of_three_walls_at_an_edge_is_refused_and_a_crease_is_not() -> No
     with refused("mesh-edge-overused") as caught:
         check_quads(np.concatenate([two, [[1, 6, 7, 2]]]), 8)
     caught.match("edge 1-2")
+
+
+@pytest.mark.parametrize(
+    ("sides", "thickness", "jitter", "sound"),
+    [(32, 1e-4, 0.25, False), (32, 1e-4, 0.0, True), (32, 1e-3, 0.25, True), (96, 1e-4, 0.1, True)],
+)
+def test_distorted_elements_of_a_thin_wall_are_refused(
+    sides: int, thickness: float, jitter: float, *, sound: bool
+) -> None:
+    """Free hyperboloids, whose bending locks on them (verification: by 41, 0.1, 1.6 and 0.2 %)."""
+    case = cases.hyperboloid_case(sides, thickness=thickness, jitter=jitter)
+    if sound:
+        assert abs(case.ratio() - 1.0) < 0.05
+        return
+    with refused("mesh-distorted"):
+        case.model()
+    # Flat walls do not lock, however thin.
+    flat = np.column_stack([case.mesh.ab, np.zeros(len(case.mesh.ab))])
+    up = np.broadcast_to([0.0, 0.0, 1.0], flat.shape)
+    check_distortion(flat, case.mesh.quads, up, thickness)

@@ -7,7 +7,11 @@ from typing import Any
 import numpy as np
 
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.meshing.mesh_check import check_directors, check_quads
+from phytac_design.mechanics.meshing.mesh_check import (
+    check_directors,
+    check_distortion,
+    check_quads,
+)
 from phytac_design.mechanics.shell.factor import SUPERLU, Factor
 from phytac_design.mechanics.shell.shell_element import DRILLING, element_stiffness
 from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
@@ -108,6 +112,7 @@ class ShellModel:
                 "where 6 motions must be blocked; fix a rim or add supports",
             )
         check_directors(nodes_mm, quads, directors)
+        check_distortion(nodes_mm, quads, directors, thickness_mm)
         self._pattern = make_pattern(quads, len(nodes_mm))
         self.elements = element_stiffness(
             nodes_mm, quads, directors, poisson=poisson, drilling=drilling
