@@ -89,3 +89,11 @@ def test_distorted_elements_of_a_thin_wall_are_refused(
     flat = np.column_stack([case.mesh.ab, np.zeros(len(case.mesh.ab))])
     up = np.broadcast_to([0.0, 0.0, 1.0], flat.shape)
     check_distortion(flat, case.mesh.quads, up, thickness)
+
+
+def test_distortion_does_not_depend_on_the_numbering() -> None:
+    mesh = cases.hyperboloid_case(12, thickness=1e-4).mesh
+    quads = mesh.quads.copy()
+    for start in (1, 2, 3):
+        quads[start::4] = np.roll(quads[start::4], start, axis=1)
+    check_distortion(mesh.nodes, quads, mesh.normals, 1e-4)
