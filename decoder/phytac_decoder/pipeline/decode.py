@@ -14,7 +14,7 @@ from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_word
 from phytac_decoder.pipeline.fault_detection import FaultDetector
 from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers
 from phytac_decoder.vision.segmentation import Blobs, check_image, segment_in_its_light
-from phytac_decoder.vision.switch_detection import TIPS_FOR_LIGHT, read_switches
+from phytac_decoder.vision.switch_detection import HALF_OUT_REPORTED, read_switches
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
@@ -126,7 +126,7 @@ class FrameMeasurement:
                 "and a force may be the sum of several"
             )
         out += noisy_rims(found, chi2_allowed=_chi2_allowed(bundle))
-        if len(self.half_out) >= TIPS_FOR_LIGHT:
+        if len(self.half_out) >= HALF_OUT_REPORTED:
             out.append(
                 f"{len(self.half_out)} tips whose switches are off ({id_list(self.half_out)}) show "
                 "more red than at rest: other switches may be read wrongly; check for red light, "
