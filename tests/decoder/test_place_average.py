@@ -130,6 +130,33 @@ def test_a_contact_out_of_reach_of_its_switch_is_nearer_to_it(
     assert off[0] < off[1] - 1.0
 
 
+def test_contacts_far_away_stay_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Places of a contact are averaged with its neighbours, to the same result."""
+    rng = np.random.default_rng(3)
+    points = [np.array([6.0, y, 0.0]) for y in (9.0, 21.0, 51.0)]
+    forces = (12.0, 9.0, 15.0)
+    motion = rng.normal(0.0, NOISE_PX, 2 * len(MARKERS))
+    for at, force in zip(points, forces, strict=True):
+        motion += force * softness(at[0]) * per_newton(at)
+    fitted: list[int] = []
+
+    def counted(places: object, states: list[object], *rest: object, **more: object) -> object:
+        fitted.append(len(states))
+        return contact_fit.fit_contacts(places, states, *rest, **more)  # type: ignore[arg-type] # as given
+
+    monkeypatch.setattr(place_average, "fit_contacts", counted)
+    koi = np.array([nearest(at) for at in points])
+    few = with_rim().find(motion.reshape(-1, 2), koi).contacts
+    assert set(fitted) == {1, 2}
+    settings = replace(place_average.SETTINGS, coupling_min=0.0)
+    monkeypatch.setattr(place_average, "SETTINGS", settings)
+    whole = with_rim().find(motion.reshape(-1, 2), koi).contacts
+    assert fitted[-1] == 3
+    for one, other in zip(few, whole, strict=True):
+        assert one.raw_N == pytest.approx(other.raw_N, abs=0.05 * other.raw_sd_N)
+        assert one.raw_sd_N == pytest.approx(other.raw_sd_N, rel=0.02)
+
+
 def test_on_a_surface_smaller_than_a_step_the_best_place_is_taken(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

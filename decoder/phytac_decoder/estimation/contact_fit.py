@@ -289,6 +289,7 @@ def fit_contacts(
     unweighted: int = SETTINGS.unweighted_iterations,
     iterations: int = SETTINGS.iterations_max,
     held: tuple[int, FloatArray] | None = None,
+    besides_px: FloatArray | float = 0.0,
 ) -> ContactFit:
     """Move contacts, of which there may be none, to where they are most likely; changes ``states``.
 
@@ -301,6 +302,8 @@ def fit_contacts(
         First estimate of the motion of the cameras, which is estimated with the contacts.
     held : (int, (3,) float), optional
         Contact whose centre stays where it is along a direction.
+    besides_px : (2n,) float, optional
+        What further contacts do, which stay as they are.
     """
     camera_motion = seen.camera_motion
     b = np.zeros(camera_motion.count if camera_motion else 0) if motion is None else motion.copy()
@@ -314,6 +317,7 @@ def fit_contacts(
     for number in range(iterations + 1):
         parts = predicted_shifts(places, states, cache)
         pressed = np.sum([part[0] for part in parts], axis=0) + np.zeros(len(seen.shift_px))
+        pressed += besides_px
         slopes = [part[1] for part in parts]
         total = pressed
         if camera_motion:

@@ -10,6 +10,7 @@ Chopin 2009).
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
@@ -23,7 +24,13 @@ from phytac_decoder.estimation.contact_fit import (
     fit_contacts,
     prior_cost,
 )
-from phytac_decoder.estimation.contact_shifts import SHEAR_START, UNKNOWNS, ContactState, centre_of
+from phytac_decoder.estimation.contact_shifts import (
+    SHEAR_START,
+    UNKNOWNS,
+    ContactState,
+    centre_of,
+    predicted_shifts,
+)
 from phytac_decoder.mechanics.response_table import ResponseTable, axes_turn
 from phytac_shapes.arrays import FloatArray
 
@@ -44,6 +51,9 @@ class AverageSettings:
     """Growth of the cost, in units of its scale, at which the density has vanished."""
     iterations: int = 3
     """Iterations at a node; they start from the node before."""
+    coupling_min: float = 0.1
+    """Correlation of a contact's unknowns with those of another, from which that one is fitted
+    with it at every node; others stay as they are."""
 
 
 SETTINGS = AverageSettings()
@@ -53,6 +63,25 @@ FINE = 8
 """Places between nodes at which quantiles are computed."""
 _NORMAL = np.array([NormalDist().inv_cdf((k + 0.5) / 40) for k in range(40)])
 """Values of a normal distribution of equal probability."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Line:
+    """Places of one contact, and what stays as it is beside it.
+
+    Attributes
+    ----------
+    number : int
+        Of the contact, among those that are fitted with it.
+    held : (3,) float
+        Direction in which its centre is moved, and held.
+    besides_px : (2n,) float
+        What all other contacts do.
+    """
+
+    number: int
+    held: FloatArray
+    besides_px: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,26 +130,51 @@ class PlaceAverage:
         direction, sd_mm, by_place_N = _confusion(covariance)
         sure = by_place_N < SETTINGS.force_share * state.x[0]
         if not sure or self.log_switches(state) < SETTINGS.log_switches_min:
-            held = direction @ self.places.axes[state.place]
-            middle = self._node(number, 0.0, self.fit.states, held)
+            coupled = self._coupled(number)
+            states = [self.fit.states[k] for k in coupled]
+            line = _Line(
+                number=coupled.index(number),
+                held=direction @ self.places.axes[state.place],
+                besides_px=self._pressed_px
+                - np.sum([part for part, _ in predicted_shifts(self.places, states)], axis=0),
+            )
+            middle = self._node(line, 0.0, states)
             step_mm = min(sd_mm, SETTINGS.step_max_mm)
-            before = list(self._walk(number, middle, -step_mm, held))
-            after = list(self._walk(number, middle, step_mm, held))
+            before = list(self._walk(line, middle, -step_mm))
+            after = list(self._walk(line, middle, step_mm))
             if before or after:
-                return self._moments(number, [*before[::-1], middle, *after])
+                return self._moments(line.number, [*before[::-1], middle, *after])
         # The logarithm of a force is what is determined: intervals reach farther upwards.
         share = min(float(np.sqrt(covariance[0, 0])) / state.x[0], 1.0)
         return state, _widened(covariance, np.expm1(share) / share)
 
-    def _walk(self, number: int, node: _Node, step_mm: float, held: FloatArray) -> Iterator[_Node]:
+    @cached_property
+    def _pressed_px(self) -> FloatArray:
+        """What all contacts do, (2n,) px, without motion of the cameras."""
+        camera_motion = self.seen.camera_motion
+        moved = camera_motion.shift_px(self.fit.motion) if camera_motion else 0.0
+        return np.asarray(self.fit.predicted_px - moved)
+
+    def _coupled(self, number: int) -> list[int]:
+        """Return a contact and those that its unknowns depend on."""
+        count = len(self.fit.states)
+        sd = np.sqrt(self.fit.covariance.diagonal())
+        both = np.abs(self.fit.covariance / np.outer(sd, sd)).reshape(count, UNKNOWNS, count, -1)
+        coupled = both[number].max(axis=(0, 2)) >= SETTINGS.coupling_min
+        if self.places.walls:  # All contacts on a flat wall stretch it together.
+            wall = self.places.walls.wall[[state.place for state in self.fit.states]]
+            coupled |= (wall == wall[number]) & (wall >= 0)
+        return np.flatnonzero(coupled).tolist()
+
+    def _walk(self, line: _Line, node: _Node, step_mm: float) -> Iterator[_Node]:
         """Yield nodes to one side of a node, to the end of the surface or of the density."""
-        least = node.cost
+        least, number = node.cost, line.number
         for _ in range(SETTINGS.steps_max):
-            moved = self._moved(node.states[number], step_mm, held)
+            moved = self._moved(node.states[number], step_mm, line.held)
             if moved is None:
                 return
             states = [*node.states[:number], moved, *node.states[number + 1 :]]
-            node = self._node(number, node.distance_mm + step_mm, states, held)
+            node = self._node(line, node.distance_mm + step_mm, states)
             yield node
             least = min(least, node.cost)
             if node.cost - least > SETTINGS.cost_max:
@@ -139,9 +193,8 @@ class PlaceAverage:
             return None
         return _at(places, replace(state, x=_about(places, state, own, point)), own)
 
-    def _node(
-        self, number: int, distance_mm: float, states: list[ContactState], held: FloatArray
-    ) -> _Node:
+    def _node(self, line: _Line, distance_mm: float, states: list[ContactState]) -> _Node:
+        number = line.number
         fit = fit_contacts(
             self.places,
             [state.copy() for state in states],
@@ -151,7 +204,8 @@ class PlaceAverage:
             motion=self.fit.motion,
             unweighted=0,
             iterations=SETTINGS.iterations,
-            held=(number, held),
+            held=(number, line.held),
+            besides_px=line.besides_px,
         )
         own = slice(UNKNOWNS * number, UNKNOWNS * (number + 1))
         cost = fit.residual_cost / self.scale + prior_cost(self.places, fit.states, self.prior)
