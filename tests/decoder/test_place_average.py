@@ -157,6 +157,17 @@ def test_contacts_far_away_stay_as_they_are(monkeypatch: pytest.MonkeyPatch) -> 
         assert one.raw_sd_N == pytest.approx(other.raw_sd_N, rel=0.02)
 
 
+def test_nothing_is_averaged_in_a_frame_that_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    at, places = np.array([6.0, 30.0, 0.0]), list[int]()
+    seen, koi = (12.0 * softness(at[0]) * per_newton(at)).reshape(-1, 2), np.array([nearest(at)])
+    whole = with_rim().find(seen, koi)
+    monkeypatch.setattr(place_average.PlaceAverage, "contact", lambda *_: places.append(0))
+    refused = with_rim().find(seen, koi, too_far=lambda _: True)
+    assert len(whole.contacts) == 1
+    assert refused.contacts == places == []
+    assert refused.reduced_chi2 == whole.reduced_chi2
+
+
 def test_on_a_surface_smaller_than_a_step_the_best_place_is_taken(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -154,7 +154,13 @@ class ForceModel:
         motion = self.camera_motion
         if motion and marked:
             motion = motion.given_marks(marked)
-        return self.locator.find(shift_px, koi, before=before, camera_motion=motion)
+
+        def too_far(b: FloatArray) -> bool:
+            return self.camera_motion is not None and bool(self.camera_motion.excess(b, marked))
+
+        return self.locator.find(
+            shift_px, koi, before=before, camera_motion=motion, too_far=too_far
+        )
 
     def apparent_mm(self, shift_px: FloatArray) -> FloatArray:
         """Return the apparent u (n,) mm, positive inward, of pixel shifts (n, 2)."""

@@ -8,7 +8,7 @@ neither starts a contact nor excludes one; where only such switches are pressed,
 markers decides alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -174,6 +174,7 @@ class ContactLocator:
         *,
         before: ContactDetection | None = None,
         camera_motion: CameraMotion | None = None,
+        too_far: Callable[[FloatArray], bool] = lambda _: False,
     ) -> ContactDetection:
         """Return the contacts behind shifts (n, 2) px, NaN where a marker was not found.
 
@@ -187,6 +188,9 @@ class ContactLocator:
             Markers whose switch is on.
         camera_motion : CameraMotion, optional
             With the prior of this frame; the sensor's own by default.
+        too_far : callable
+            Whether the frame is refused for a motion of the cameras (q,): then no contact is
+            reported, and the work for that is saved.
         """
         d = np.asarray(shift_px, dtype=np.float64).reshape(-1)
         found = np.isfinite(d)
@@ -202,7 +206,9 @@ class ContactLocator:
         state = self._warm_start(last, seen) if last else None
         if state is None:
             state = self._search(seen)
-        return replace(self._report(state, seen), state=state, noise_scale=state.noise_scale)
+        refused = too_far(state.fit.motion)
+        report = self._report(state, seen, refused=refused)
+        return replace(report, state=state, noise_scale=state.noise_scale)
 
     def _search(self, seen: ShiftObservation) -> FitState:
         """Search for the contacts of one frame alone."""
@@ -487,8 +493,10 @@ class ContactLocator:
         moment = np.array([disc + state.x[3] + state.x[5] for state in states])
         return np.asarray(np.sqrt(2.0 * np.maximum(moment, SETTINGS.moment_min * disc)))
 
-    def _report(self, found: FitState, seen: ShiftObservation) -> ContactDetection:
-        """Return accepted contacts, with corrected forces and their switches."""
+    def _report(
+        self, found: FitState, seen: ShiftObservation, *, refused: bool
+    ) -> ContactDetection:
+        """Return accepted contacts, with corrected forces and their switches; none if refused."""
         best, koi = found.fit, seen.koi
         accepted = [k for k, state in enumerate(best.states) if not state.tentative]
         out = ContactDetection(
@@ -498,7 +506,7 @@ class ContactLocator:
             motion=best.motion,
             motion_sd=best.motion_sd,
         )
-        if not accepted:
+        if refused or not accepted:
             return out
         states, covariances = self._averaged(found, accepted, seen)
         sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
