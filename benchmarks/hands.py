@@ -193,6 +193,13 @@ def _add_rows(table: Table, head: str, judged: Evaluation, *, targets: bool) -> 
         f"{float(np.abs(error).mean()):.3g} N; the bound with this force unknown allows "
         f"{least:.2g} %",
     )
+    together = np.bincount(decoded.sample)[decoded.sample][middle]
+    for count in range(1, together.max() + 1):
+        one = together == count
+        if one.any():
+            case = f"{head}: middle heights, mean relative error, {count} contacts at a time"
+            value = 100.0 * float(np.abs(share[one]).mean())
+            table.add(case, value, "%", "", "project", None, f"{int(one.sum())} contacts")
     add("middle heights, mean of error over force", 100.0 * abs(float(share.mean())), "%", "<= 0.3")
     covered = 100.0 * claims.covered
     note = f"{covered:.3g} %"
