@@ -23,6 +23,7 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.design_review import checkup
 from phytac_design.study.advice.design_evaluation import strain_of
 from phytac_design.study.advice.first_design import FAMILIES, first_design, trip_force_N
+from phytac_design.workflows import switch_feasibility
 from tests.refusals import refused
 
 SMALL: dict[str, dict[str, float]] = {
@@ -51,6 +52,9 @@ def made(kind: str, *, most_N: float = 25.0, camera: dict[str, Any] | None = Non
 def ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(new_command, "in_terminal", lambda: True)
+    # Bowls take half a minute to solve.
+    monkeypatch.setattr(switch_feasibility, "misfit", lambda *_: "")
+    monkeypatch.setattr(switch_feasibility, "feasible_range", lambda *_: None)
 
     def answered(*answers: object, options: tuple[str, ...] = ()) -> Any:
         lines = "".join(f"{answer}\n" for answer in answers)
@@ -130,16 +134,17 @@ def test_the_full_file_is_the_same_design(ask: Any, tmp_path: Path) -> None:
 
 def test_wrong_answers_are_asked_again(ask: Any, tmp_path: Path) -> None:
     shape = (9, 4, 5000, 3, "n", 30)
-    camera = (8, 1280, 720, 150, "y")
+    camera = (8, 1280, 720, 359, 130, "y")
     done = ask("../x", "tip", *shape, *camera, 0.5, 0.1, 9)
     assert done.exit_code == 0, done.output
     for words in ("'../x' is no name", "9 is not between 1 and 5", "3 cm are 30 mm. Keep 3 mm?"):
         assert words in done.output
     assert "5000 is not between" in done.output
+    assert "359 is not between 5 and 280" in done.output
     assert "0.1 is not between 0.5" in done.output
     data = tomllib.loads((tmp_path / "tip.toml").read_text())
     own = {"model": "kannala_brandt", "width_px": 1280, "height_px": 720}
-    assert data["camera"] == own | {"field_of_view_deg": 150.0}
+    assert data["camera"] == own | {"field_of_view_deg": 130.0}
 
 
 def test_without_a_terminal_the_usage_is_printed(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ LOOK_S = 30.0
 
 
 def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = False) -> None:
-    """Check rules, visibility and density alone: no solid, no mesh.
+    """Check rules, visibility, density and thresholds alone: no solid, no mesh.
 
     All faults are listed, and a change that repairs them if one is found within seconds.
     """
@@ -32,31 +32,62 @@ def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = Fa
         if not as_json and not unit_hints(loaded.model_dump()):
             _suggest_repair(design, refused=True, seed=seed)
         raise typer.Exit(error.exit_code) from None
+    fault, visible = _switch_fault(loaded), report["clear"]
+    if fault:
+        report |= {"clear": False, "faults": [_fault_facts(fault)]}
     if as_json:
         print_json(report)
+        _warn(report, fault)
     else:
         _print_check(report)
-    for warning in report["warnings"]:
-        say(f"warning: {warning}")
-    if not as_json:
-        typer.echo(_verdict(report))
+        _warn(report, fault)
+        typer.echo(_verdict(report, visible=visible))
         if report["clear"]:
             next_step(f"phytac build {design}")
-        else:
+        elif not visible:
             _suggest_repair(design, refused=False, seed=seed)
     if not report["clear"]:
         raise typer.Exit(DesignError.exit_code)
+
+
+def _warn(report: dict[str, Any], fault: DesignError | None) -> None:
+    for warning in report["warnings"]:
+        say(f"warning: {warning}")
+    if fault:
+        say(f"error[{fault.code}]: {fault}")
+
+
+def _switch_fault(design: "Design") -> DesignError | None:
+    """The error of thresholds that no bowl has, if there are some."""
+    from phytac_design.workflows.switch_feasibility import check_thresholds
+
+    try:
+        check_thresholds(design, progress=say)
+    except DesignError as error:
+        return error
+    return None
+
+
+def _fault_facts(fault: PhytacError) -> dict[str, str]:
+    """An error for JSON."""
+    return {"code": fault.code, "text": str(fault)}
 
 
 def _print_faults(design: "Design", first: DesignError, *, as_json: bool) -> None:
     """All rules that a design breaks, of which ``first`` is one, and lengths in other units."""
     from phytac_design.design.unit_hints import unit_hints
     from phytac_design.rules.check import broken_rules
+    from phytac_design.workflows.switch_feasibility import check_thresholds
 
-    faults = broken_rules(design) or [first]
+    # Bowls are as wide as the markers' distances and the footprints leave them.
+    thresholds = (
+        lambda sensor: check_thresholds(sensor.design, progress=say),
+        "switches gaps ends footprints rubber",
+    )
+    faults = broken_rules(design, {"thresholds": thresholds}) or [first]
     hints = unit_hints(design.model_dump())
     if as_json:
-        each = [{"code": fault.code, "text": str(fault)} for fault in faults]
+        each = [_fault_facts(fault) for fault in faults]
         print_json({"design": design.name, "clear": False, "faults": each, "warnings": hints})
     for fault in faults:
         say(f"error[{fault.code}]: {fault}")
@@ -99,10 +130,10 @@ def _print_check(report: dict[str, Any]) -> None:
         typer.echo(f"  {name_of(f'visibility.{key}'):48s} {value:.4g}{need}")
 
 
-def _verdict(report: dict[str, Any]) -> str:
-    verdict = (
-        "every marker is visible and can be distinguished" if report["clear"] else report["advice"]
-    )
+def _verdict(report: dict[str, Any], *, visible: bool) -> str:
+    verdict = "every marker is visible and can be distinguished" if visible else report["advice"]
+    if "faults" in report:
+        verdict += "; its switches cannot be made (see the error)"
     blind = report["visibility"].get("switch_unreadable", 0)
     if blind:
         verdict += f"; {blind} switches cannot be read"

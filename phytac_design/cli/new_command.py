@@ -3,13 +3,16 @@
 import re
 import sys
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from phytac_design.cli.options import check_out, complete_design, say
 from phytac_design.cli.output import next_step, resumable
-from phytac_shapes.errors import OutputError
+from phytac_shapes.errors import DesignError, OutputError
+
+if TYPE_CHECKING:
+    from phytac_design.design.spec import Design
 
 Choice = TypeVar("Choice")
 
@@ -77,7 +80,7 @@ def in_terminal() -> bool:
 def _ask_design(out: Path | None, *, full: bool) -> None:
     """Ask for shape, sizes, camera and forces; write a design that passes ``phytac check``."""
     from phytac_design.design.design_file import to_short_toml, to_toml, write_design_file
-    from phytac_design.study.advice.first_design import first_design, trip_force_N
+    from phytac_design.study.advice.first_design import first_design
 
     with resumable("stopped; nothing was written"):
         name = _ask_name()
@@ -93,18 +96,56 @@ def _ask_design(out: Path | None, *, full: bool) -> None:
         design = first_design(
             name, kind, sizes_mm, camera, force_min_N=least_N, force_max_N=most_N, progress=say
         )
+        design, switches = _switches_of(design, least_N)
     text = to_toml(design) if full else to_short_toml(design, camera=camera)
     typer.echo(f"wrote {write_design_file(text, target)}")
     typer.echo(
         f"{design.layout.wanted} markers, wall {design.wall.thickness_mm:g} mm: every marker is "
         "visible and can be distinguished"
     )
-    trip_N = trip_force_N(design)
-    typer.echo(
-        f"a contact trips a switch from about {trip_N:.2g} N (wanted: {least_N:g} N"
-        + (")" if trip_N <= least_N else "; lower switch.threshold_N)")
-    )
+    typer.echo(switches)
     next_step(f"phytac check {target}, then phytac build {target}")
+
+
+def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
+    """The design with a rubber for its threshold, and a sentence on the forces that it reads."""
+    from phytac_design.study.advice.first_design import trip_force_N
+    from phytac_design.workflows.switch_feasibility import (
+        check_thresholds,
+        modulus_for,
+        threshold_range,
+    )
+
+    rubber = ""
+    try:
+        check_thresholds(design, progress=say)
+    except DesignError:
+        found = threshold_range(design, progress=say)
+        if found is None:
+            raise
+        modulus_MPa = modulus_for(design.switch.threshold_N, found)
+        own = design.switch.model_copy(update={"modulus_MPa": modulus_MPa})
+        design = design.model_copy(update={"switch": own})
+        rubber = f"; their rubber must have {modulus_MPa:g} MPa (switch.modulus_MPa)"
+    trip_N = trip_force_N(design)
+    switches = f"a contact trips a switch from about {trip_N:.2g} N (wanted: {least_N:g} N){rubber}"
+    # Numbers of design files are rounded to two digits.
+    if trip_N <= 1.05 * least_N:
+        return design, switches
+    found = threshold_range(design, progress=say)
+    factor = least_N / trip_N
+    threshold_N, release_N = (
+        float(f"{factor * force:.2g}")
+        for force in (design.switch.threshold_N, design.switch.release_N)
+    )
+    change = f"for less, set switch.threshold_N = {threshold_N:g} and release_N = {release_N:g}"
+    if found is not None and threshold_N < found.min_N:
+        change += (
+            f", with a rubber of about {modulus_for(threshold_N, found):g} MPa "
+            f"(switch.modulus_MPa): at {found.modulus_MPa:g} MPa bowls have thresholds of "
+            f"{found.min_N:.3g} to {found.max_N:.3g} N"
+        )
+    return design, f"{switches}; {change}"
 
 
 def _ask_name() -> str:
@@ -147,6 +188,7 @@ def _ask_shape() -> tuple[str, dict[str, float]]:
 def _ask_camera() -> dict[str, Any]:
     """Table ``camera``."""
     from phytac_design.design.camera_catalogue import CAMERAS
+    from phytac_design.design.field_of_view import FIELD_OF_VIEW_MAX_deg, STRAIGHT_MAX_deg
 
     listed = {camera.words(): camera.table() for camera in CAMERAS}
     table = _choose("Camera", listed | {"another one": {}})
@@ -155,9 +197,14 @@ def _ask_camera() -> dict[str, Any]:
     table = {
         "width_px": int(_ask_number("Image width, px", 1280, 16, 20000)),
         "height_px": int(_ask_number("Image height, px", 720, 16, 20000)),
-        "field_of_view_deg": _ask_number("Field of view across, degrees", 70.0, 5.0, 220.0),
+        "field_of_view_deg": _ask_number(
+            "Field of view across, degrees", 70.0, 5.0, FIELD_OF_VIEW_MAX_deg
+        ),
     }
-    fisheye = typer.confirm("Is it a fisheye lens?", default=table["field_of_view_deg"] > 120.0)
+    angle = table["field_of_view_deg"]
+    fisheye = angle > STRAIGHT_MAX_deg or typer.confirm(
+        "Is it a fisheye lens?", default=angle > 120.0
+    )
     return {"model": "kannala_brandt", **table} if fisheye else table
 
 

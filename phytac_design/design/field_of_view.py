@@ -4,6 +4,11 @@ import numpy as np
 
 from phytac_decoder.camera.lens import Lens
 
+FIELD_OF_VIEW_MAX_deg = 280.0
+"""The widest fisheye lenses that are made (such as Entaniya's of 280°)."""
+STRAIGHT_MAX_deg = 140.0
+"""Lenses without distortion end at about 130°; beyond, their edges would be dark and blurred."""
+
 
 def focal_of_view_px(unit: Lens, field_of_view_deg: float) -> float:
     """Focal length at which a lens sees this angle from the left to the right edge of its image.
@@ -20,8 +25,15 @@ def focal_of_view_px(unit: Lens, field_of_view_deg: float) -> float:
     Raises
     ------
     ValueError
-        If the lens model sees no direction that far from its axis.
+        If no lens that is made sees so much, or the lens model sees no direction that far from
+        its axis.
     """
+    if field_of_view_deg > FIELD_OF_VIEW_MAX_deg:
+        raise ValueError(
+            f"no lens sees {field_of_view_deg:g}° across: the widest fisheyes end at "
+            f"{FIELD_OF_VIEW_MAX_deg:g}°; give the angle from the left to the right edge of the "
+            "image as in the data sheet, or focal_px where the image circle ends before the edges"
+        )
     half = np.deg2rad(field_of_view_deg / 2.0)
     edge = unit.project(np.array([[np.sin(half), 0.0, np.cos(half)]]))[0, 0] - unit.cx_px
     # Beyond one focal length per image width, rounding would leave nothing of the focal length.
@@ -30,6 +42,11 @@ def focal_of_view_px(unit: Lens, field_of_view_deg: float) -> float:
             f"a {unit.model} lens with this distortion sees less than {field_of_view_deg:g}° "
             f"(its limit is {np.rad2deg(2.0 * unit.field_rad):.1f}°); lower field_of_view_deg, or "
             'set model = "kannala_brandt" for a fisheye'
+        )
+    if unit.model == "pinhole" and field_of_view_deg > STRAIGHT_MAX_deg:
+        raise ValueError(
+            f"no lens without distortion sees {field_of_view_deg:g}° across: they end at about "
+            f'{STRAIGHT_MAX_deg:g}°; set model = "kannala_brandt" for a fisheye'
         )
     return round(float(unit.width_px / 2.0 / edge), 3)
 

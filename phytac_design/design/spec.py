@@ -119,7 +119,7 @@ class CameraSection(Section):
     """Focal length in pixels, along x. If neither it nor `field_of_view_deg` is given, it follows
     the image's width: the field of view stays that of the default."""
     field_of_view_deg: float = Field(
-        0.0, ge=0.0, le=359.0, exclude=True, json_schema_extra={"input_only": True}
+        0.0, ge=0.0, exclude=True, json_schema_extra={"input_only": True}
     )
     """Horizontal field of view in place of `focal_px`, for a lens of this model and distortion,
     such as a fisheye: `model = "kannala_brandt"`; 0 if not given."""

@@ -1,6 +1,6 @@
 """All rules of a design in one place, checked before anything is computed or written."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from phytac_design.design.design_file import with_unit_hints
 from phytac_design.design.spec import Design
@@ -39,7 +39,10 @@ def _sharp(sensor: Sensor) -> None:
         sharpness(sensor.design.camera, camera, sensor.surface, sensor.markers)
 
 
-RULES: dict[str, tuple[Callable[[Sensor], object], str]] = {
+Rule = tuple[Callable[[Sensor], object], str]
+"""What checks a rule, and the rules without which it has no meaning."""
+
+RULES: dict[str, Rule] = {
     "count": (lambda sensor: check_count(sensor.design), ""),
     "wall_size": (lambda sensor: check_wall_size(sensor.design), ""),
     "tubes": (lambda sensor: check_receptor_sizes(sensor.design), ""),
@@ -62,7 +65,7 @@ RULES: dict[str, tuple[Callable[[Sensor], object], str]] = {
     "rubber": (lambda sensor: rubber_of(sensor.design), ""),
     "hardware": (lambda sensor: check_hardware(sensor.design, sensor.surface), "reach tubes"),
 }
-"""Rules in their order: what checks each, and the rules without which it has no meaning."""
+"""Rules in their order."""
 
 
 def check_design(design: Design) -> Sensor:
@@ -87,11 +90,14 @@ def check_design(design: Design) -> Sensor:
     return sensor
 
 
-def broken_rules(design: Design) -> list[PhytacError]:
-    """Errors of all rules that a design breaks, but for those that follow from others."""
+def broken_rules(design: Design, more: Mapping[str, Rule] | None = None) -> list[PhytacError]:
+    """Errors of all rules that a design breaks, but for those that follow from others.
+
+    ``more`` rules, by name, are checked after ``RULES``.
+    """
     sensor, broken = Sensor(design), set[str]()
     faults: dict[str, PhytacError] = {}
-    for name, (check, needs) in RULES.items():
+    for name, (check, needs) in (RULES | dict(more or {})).items():
         if broken & set(needs.split()):
             broken.add(name)
             continue

@@ -18,14 +18,14 @@ from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.buckling import first_buckling
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
-from phytac_design.mechanics.switch.feasible_range import FeasibleRange
+from phytac_design.mechanics.switch.feasible_range import FeasibleRange, misfit
 from phytac_design.mechanics.switch.hyperelastic import Ogden, Yeoh, neo_hookean
 from phytac_design.mechanics.switch.material_fit import fit_uniaxial, uniaxial_stress
 from phytac_design.mechanics.switch.rubbers import rubber
 from phytac_design.mechanics.switch.switch_inputs import space_of
 from phytac_design.mechanics.switch.switch_report import curve_plot
 from phytac_design.mechanics.switch.switch_space import SwitchSpace, Tolerance
-from phytac_design.mechanics.switch.tolerance import threshold_spread
+from phytac_design.mechanics.switch.tolerance import limit_load, threshold_spread
 from phytac_shapes.errors import DesignError, OutputError
 from tests.designs import small
 from tests.refusals import refused
@@ -122,6 +122,23 @@ def test_refusal_says_what_would_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     error.match("From .* N fit")
     low, high = (float(x) for x in str(error.value).split("rubber of ")[1].split()[:3:2])
     assert 0.0 < low < high < 10.0
+
+
+@pytest.mark.usefixtures("coarse_switches")
+def test_misfits_agree_with_the_inverse_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[:1])
+    space = SwitchSpace()
+    thinnest = limit_load(
+        bowl_check.bowl_of(space, bowl_check.fillets(space)[0], 1.65, 0.2),
+        TPU.material,
+        hole_diameter_mm=space.hole_diameter_mm,
+        refine=1,
+    )
+    assert misfit(0.1, TPU, space) == (
+        f"with the thinnest wall that the mold casts (0.2 mm) it snaps at {thinnest:.3g} N"
+    )
+    assert misfit(1.02 * float(thinnest or 0.0), TPU, space) == ""
+    assert misfit(5.0, TPU, space).startswith("no wall gives it")
 
 
 def test_hopeless_requests_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

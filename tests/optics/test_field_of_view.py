@@ -82,7 +82,9 @@ def test_a_field_of_view_is_read_as_its_focal_length() -> None:
     [
         ({"field_of_view_deg": 70, "focal_px": 500}, r"got 70° and 500 px.*leave out one"),
         ({"field_of_view_deg": 180}, 'sees less than 180°.*"kannala_brandt"'),
-        ({"field_of_view_deg": 400}, "less than or equal to 359"),
+        ({"field_of_view_deg": 170}, 'no lens without distortion sees 170°.*"kannala_brandt"'),
+        ({"field_of_view_deg": 359, "model": "fisheye"}, "no lens sees 359°.*end at 280°"),
+        ({"field_of_view_deg": 1e6, "model": "fisheye"}, "no lens sees 1e.06°"),
         (
             {"field_of_view_deg": 120, "model": "kannala_brandt", "distortion": [-1, 0, 0, 0]},
             "sees less than 120°",

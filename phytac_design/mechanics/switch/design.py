@@ -15,7 +15,11 @@ from phytac_design.mechanics.switch.bowl_check import (
 )
 from phytac_design.mechanics.switch.buckling import first_buckling
 from phytac_design.mechanics.switch.curve import ForceStrokeCurve, Snap, press_bowl, snap_of
-from phytac_design.mechanics.switch.feasible_range import feasible_range
+from phytac_design.mechanics.switch.feasible_range import (
+    WALL_EXPONENT,
+    feasible_range,
+    fit_words,
+)
 from phytac_design.mechanics.switch.rubbers import Rubber
 from phytac_design.mechanics.switch.switch_space import SwitchSpace, Tolerance
 from phytac_design.mechanics.switch.tolerance import Spread, limit_load, threshold_spread
@@ -179,9 +183,9 @@ def _wall(
         # A wall too thick to snap counts as far too strong.
         return 0.5 if found is None else float(np.log(found / threshold_N))
 
-    # F ≈ 1.2 E a² (t/a)^2.2, measured on such bowls.
+    # F ≈ 1.2 E a² (t/a)^2.2.
     unit = 1.2 * rubber.material.modulus_MPa * half**2
-    start = guess_mm or half * (threshold_N / unit) ** (1.0 / 2.2)
+    start = guess_mm or half * (threshold_N / unit) ** (1.0 / WALL_EXPONENT)
     bounds = (np.log(0.03 * half), np.log(limit_wall))
     x = float(np.clip(np.log(start), *bounds))
     if not guess_mm:
@@ -199,7 +203,7 @@ def _secant(
     *,
     tolerance: float,
 ) -> float:
-    slope, last = 2.2, None
+    slope, last = WALL_EXPONENT, None
     for _ in range(12):
         y = function(x)
         if abs(y) <= tolerance:
@@ -245,24 +249,15 @@ def _refusal(threshold_N: float, rubber: Rubber, space: SwitchSpace, reasons: li
         f"a switch of {threshold_N:g} N does not fit a bowl {space.diameter_mm:.3g} mm wide of "
         f"{rubber.name} at {modulus:.3g} MPa: "
     )
-    found = feasible_range(rubber, space)
     why = "; ".join(reasons) or "no bowl fits"
-    if found is None:
-        thinner = feasible_range(rubber, replace(space, wall_min_mm=0.5 * space.wall_min_mm))
-        if thinner is None:
-            return f"{intro}{why}. No wall fits: raise the footprint, or ask for less red"
-        return (
-            f"{intro}{why}. No wall of {space.wall_min_mm:g} mm or more snaps that far; if the "
-            "mold "
-            f"casts thinner ones, from {thinner.min_N:.3g} N ({thinner.min_wall_mm:.3g} mm) to "
-            f"{thinner.max_N:.3g} N ({thinner.max_wall_mm:.3g} mm) fit"
-        )
-    low, high = modulus * threshold_N / found.max_N, modulus * threshold_N / found.min_N
-    fits = (
-        f"{intro}{why}. From {found.min_N:.3g} to {found.max_N:.3g} N fit with walls of "
-        f"{found.min_wall_mm:.3g} to {found.max_wall_mm:.3g} mm"
+    found = feasible_range(rubber, space)
+    if found is not None:
+        return f"{intro}{why}. {fit_words(threshold_N, found)}"
+    thinner = feasible_range(rubber, replace(space, wall_min_mm=0.5 * space.wall_min_mm))
+    if thinner is None:
+        return f"{intro}{why}. No wall fits: raise the footprint, or ask for less red"
+    return (
+        f"{intro}{why}. No wall of {space.wall_min_mm:g} mm or more snaps that far; if the mold "
+        f"casts thinner ones, from {thinner.min_N:.3g} N ({thinner.min_wall_mm:.3g} mm) to "
+        f"{thinner.max_N:.3g} N ({thinner.max_wall_mm:.3g} mm) fit"
     )
-    softest_MPa, hardest_MPa = 0.05, 100.0  # gels, and the hardest polyurethanes
-    if high < softest_MPa or low > hardest_MPa:
-        return f"{fits}; no rubber's modulus would do: ask for a threshold nearer to those"
-    return f"{fits}; or take a rubber of {low:.3g} to {high:.3g} MPa"

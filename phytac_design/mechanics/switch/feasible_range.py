@@ -14,7 +14,11 @@ from phytac_design.mechanics.switch.bowl_check import (
 from phytac_design.mechanics.switch.curve import press_bowl
 from phytac_design.mechanics.switch.rubbers import Rubber
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
-from phytac_shapes.errors import NumericalError
+from phytac_design.mechanics.switch.tolerance import limit_load
+from phytac_shapes.errors import DesignError, NumericalError
+
+WALL_EXPONENT = 2.2
+"""The limit load goes with this power of the wall, measured on such bowls."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +71,63 @@ def feasible_range(rubber: Rubber, space: SwitchSpace) -> FeasibleRange | None:
         max_N=most,
         max_wall_mm=wall,
     )
+
+
+def misfit(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
+    """Why no bowl has this threshold; "" if one does, as far as a few solves show.
+
+    Walls follow from the load by its power law instead of iteration, and buckling and tolerances
+    are not evaluated; see :func:`~phytac_design.mechanics.switch.design.design_switch`.
+    """
+    mesh_share = 0.01  # loads of the coarse mesh are so near those of the fine one
+    too_thick = False
+    for fillet in fillets(space):
+        wall = space.wall_min_mm
+        load = thinnest = _limit_N(rubber, space, fillet, wall)
+        if thinnest is not None and threshold_N < (1.0 - mesh_share) * thinnest:
+            if too_thick:
+                break  # rounder fillets ask for thinner walls still
+            return (
+                f"with the thinnest wall that the mold casts ({wall:g} mm) it snaps at "
+                f"{thinnest:.3g} N"
+            )
+        for _ in range(2):
+            if load is not None:
+                wall *= (threshold_N / load) ** (1.0 / WALL_EXPONENT)
+                load = _limit_N(rubber, space, fillet, wall)
+        if load is not None and _fits(rubber, space, fillet, wall, refine=2) is not None:
+            return ""
+        too_thick = True
+    return "no wall gives it that snaps, returns and moves the tip far enough"
+
+
+def fit_words(threshold_N: float, found: FeasibleRange) -> str:
+    """What would fit, without a full stop: thresholds of this rubber, moduli for this threshold."""
+    low, high = moduli_MPa(threshold_N, found)
+    fits = (
+        f"From {found.min_N:.3g} to {found.max_N:.3g} N fit with walls of "
+        f"{found.min_wall_mm:.3g} to {found.max_wall_mm:.3g} mm"
+    )
+    softest_MPa, hardest_MPa = 0.05, 100.0  # gels, and the hardest polyurethanes
+    if high < softest_MPa or low > hardest_MPa:
+        return f"{fits}; no rubber's modulus would do: ask for a threshold nearer to those"
+    return f"{fits}; or take a rubber of {low:.3g} to {high:.3g} MPa"
+
+
+def moduli_MPa(threshold_N: float, found: FeasibleRange) -> tuple[float, float]:
+    """Smallest and largest modulus at which a threshold fits the space of a range."""
+    scaled = found.modulus_MPa * threshold_N
+    return scaled / found.max_N, scaled / found.min_N
+
+
+def _limit_N(rubber: Rubber, space: SwitchSpace, fillet_mm: float, wall_mm: float) -> float | None:
+    """Limit load, N, on the coarse mesh; None where the wall does not snap."""
+    try:
+        bowl = bowl_of(space, fillet_mm, space.stroke_mm + EXTRA_DEPTH_mm, wall_mm)
+        hole_mm = space.hole_diameter_mm
+        return limit_load(bowl, rubber.material, hole_diameter_mm=hole_mm, refine=1)
+    except (DesignError, NumericalError):
+        return None
 
 
 def _on_fine_mesh(

@@ -1,0 +1,117 @@
+"""Whether bowls can have a design's thresholds, for ``phytac check`` and ``phytac new``.
+
+Outcomes are cached by space and rubber: the next check of the same switches solves nothing.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phytac_design.design.spec import Design
+from phytac_design.engine.cache import publish, record, stage_key
+from phytac_design.layout.sensor import Sensor
+from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.mechanics.switch.feasible_range import (
+    FeasibleRange,
+    feasible_range,
+    fit_words,
+    misfit,
+    moduli_MPa,
+)
+from phytac_design.mechanics.switch.rubbers import Rubber
+from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
+from phytac_design.mechanics.switch.switch_space import SwitchSpace
+from phytac_shapes.errors import DesignError, OutputError
+
+
+def check_thresholds(design: Design, *, progress: Callable[[str], None] = lambda _: None) -> None:
+    """Check that a bowl can have each threshold of a design.
+
+    Buckling and tolerances are not evaluated; a build does that.
+
+    Raises
+    ------
+    DesignError
+        If a threshold does not fit, with those that do; if no bowl fits at all, or the markers
+        cannot be placed.
+    """
+    if not design.has_switches:
+        return
+    rubber, space = rubber_of(design), space_of(design)
+    faults = []
+    for threshold_N in map(float, np.unique(thresholds_N(design, Sensor(design).markers))):
+
+        def solve(wanted_N: float = threshold_N) -> dict[str, Any]:
+            return {"misfit": misfit(wanted_N, rubber, space)}
+
+        why = str(_known("threshold", design, space, threshold_N, solve)["misfit"])
+        if not why:
+            continue
+        found = threshold_range(design, progress=progress)
+        # Solved in full: walls near the thickest pass here that the power law misses.
+        if found is None or not found.min_N <= threshold_N <= found.max_N:
+            faults.append(_fault(threshold_N, rubber, space, why, found))
+    if faults:
+        raise DesignError("switch-infeasible", "; ".join(faults))
+
+
+def threshold_range(
+    design: Design, *, progress: Callable[[str], None] = lambda _: None
+) -> FeasibleRange | None:
+    """Thresholds that fit the switches' space and rubber; None if no wall does.
+
+    Raises
+    ------
+    DesignError
+        If no bowl fits, or the rubber is not known.
+    """
+    rubber, space = rubber_of(design), space_of(design)
+
+    def solve() -> dict[str, Any]:
+        progress("finding the thresholds that bowls of this size and rubber can have (once)")
+        found = feasible_range(rubber, space)
+        return {"range": found and asdict(found)}
+
+    found = _known("threshold_range", design, space, 0.0, solve)["range"]
+    return None if found is None else FeasibleRange(**found)
+
+
+def modulus_for(threshold_N: float, found: FeasibleRange) -> float:
+    """Modulus, MPa to two digits, at which a threshold lies amid those that fit."""
+    return float(f"{np.sqrt(np.prod(moduli_MPa(threshold_N, found))):.2g}")
+
+
+def _fault(
+    threshold_N: float, rubber: Rubber, space: SwitchSpace, why: str, found: FeasibleRange | None
+) -> str:
+    fits = (
+        "No wall fits: raise switch.footprint_diameter_mm, or lower switch.stroke_mm"
+        if found is None
+        else f"{fit_words(threshold_N, found)}: change switch.threshold_N or switch.modulus_MPa"
+    )
+    return (
+        f"a switch of {threshold_N:g} N does not fit a bowl {space.diameter_mm:.3g} mm wide of "
+        f"{rubber.name} at {rubber.material.modulus_MPa:.3g} MPa: {why}. {fits}"
+    )
+
+
+def _known(
+    name: str,
+    design: Design,
+    space: SwitchSpace,
+    threshold_N: float,
+    solve: Callable[[], dict[str, Any]],
+) -> dict[str, Any]:
+    """What ``solve`` finds for a rubber, a space and a threshold, from the cache if it is there."""
+    inputs = [design.switch.material, design.switch.modulus_MPa, asdict(space), threshold_N]
+
+    def work(_: Path) -> dict[str, Any]:
+        return solve()
+
+    try:
+        return record(publish(name, stage_key(name, inputs), work))
+    except OutputError:
+        return solve()  # a check writes nothing that the user needs: a full disk is no fault of it

@@ -1,0 +1,115 @@
+"""Thresholds that no bowl has are errors of ``phytac check``, and ``phytac new`` avoids them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from phytac_design.cli import check_command, new_command
+from phytac_design.design.design_file import to_toml
+from phytac_design.mechanics.switch.feasible_range import FeasibleRange
+from phytac_design.workflows import switch_feasibility
+from phytac_design.workflows.switch_feasibility import check_thresholds
+from tests.designs import small
+from tests.refusals import refused
+from tests.test_check_faults import COARSE
+
+RANGE = FeasibleRange(modulus_MPa=10.0, min_N=0.4, max_N=0.9, min_wall_mm=0.2, max_wall_mm=0.28)
+WEAK: dict[str, Any] = {"threshold_N": 0.1, "release_N": 0.08}
+
+
+@pytest.fixture(autouse=True)
+def solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Thresholds whose bowls were solved for; they fit as the range says."""
+    asked: list[float] = []
+
+    def misfit(threshold_N: float, *_: object) -> str:
+        asked.append(threshold_N)
+        return "" if RANGE.min_N <= threshold_N < 0.8 else "it does not snap"
+
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(switch_feasibility, "misfit", misfit)
+    monkeypatch.setattr(switch_feasibility, "feasible_range", lambda *_: RANGE)
+    return asked
+
+
+def test_thresholds_without_a_bowl_are_refused(solved: list[float]) -> None:
+    check_thresholds(small())
+    check_thresholds(small(receptor={"diameter_hole_mm": 0.0}))
+    # Near the thickest wall the range decides: it is solved in full.
+    check_thresholds(small(switch={"threshold_N": 0.85}))
+    regions = [{"threshold_N": 3.0, "rows": [0, 1]}]
+    with refused("switch-infeasible") as caught:
+        check_thresholds(small(switch={**WEAK, "regions": regions}))
+    for words in (
+        "a switch of 0.1 N does not fit .* From 0.4 to 0.9 N fit with walls of 0.2 to 0.28 mm",
+        "a rubber of 1.11 to 2.5 MPa",
+        "a switch of 3 N does not fit",
+    ):
+        caught.match(words)
+    assert solved == [0.5, 0.85, 0.1, 3.0]
+    with refused("bowl-no-room"):
+        check_thresholds(small(switch={"wall_min_mm": 2.0}))
+
+
+def test_known_switches_are_not_solved_again(
+    solved: list[float], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    check_thresholds(small())
+    check_thresholds(small(camera=COARSE))
+    assert solved == [0.5]
+    check_thresholds(small(switch={"modulus_MPa": 9.0}))
+    check_thresholds(small(switch={"footprint_diameter_mm": 3.9}))
+    assert solved == [0.5] * 3
+    # Without a cache that can be written, the check works all the same.
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "file" / "cache"))
+    check_thresholds(small())
+    assert solved == [0.5] * 4
+
+
+def test_the_check_lists_thresholds_with_other_faults(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check_command, "_suggest_repair", lambda *_, **__: None)
+    path = tmp_path / "mine.toml"
+
+    def run(*, as_json: bool = False, **tables: Any) -> tuple[str, str]:
+        path.write_text(to_toml(small(camera=COARSE, **tables)))
+        with pytest.raises(typer.Exit):
+            check_command.check(str(path), as_json=as_json)
+        out = capsys.readouterr()
+        return out.out, out.err
+
+    out, err = run(switch=WEAK)
+    assert "can be distinguished; its switches cannot be made" in out.splitlines()[-1]
+    assert "error[switch-infeasible]: a switch of 0.1 N" in err
+    facts = json.loads(run(as_json=True, switch=WEAK)[0])
+    assert [fault["code"] for fault in facts["faults"]] == ["switch-infeasible"]
+    assert (facts["clear"], facts["visibility"]["occluded"]) == (False, 0)
+    err = run(switch=WEAK, wall={"thickness_mm": 0.3})[1]
+    assert [line.split("]")[0] for line in err.splitlines() if line.startswith("error")] == [
+        "error[wall-too-thin",
+        "error[switch-infeasible",
+    ]
+    # Bowls of receptors that are too close are not judged.
+    err = run(switch={**WEAK, "footprint_diameter_mm": 20.0})[1]
+    assert "error[switches-overlap]" in err
+    assert "switch-infeasible" not in err
+
+
+def test_a_new_design_has_a_rubber_for_its_threshold() -> None:
+    design, words = new_command._switches_of(small(switch=WEAK), 5.0)
+    # In the middle of 1.11 to 2.5 MPa, on a logarithmic scale.
+    assert design.switch.modulus_MPa == 1.7
+    assert "rubber must have 1.7 MPa" in words
+    same, words = new_command._switches_of(small(), 0.3)
+    assert same == small()
+    assert words == (
+        "a contact trips a switch from about 1.5 N (wanted: 0.3 N); for less, set "
+        "switch.threshold_N = 0.099 and release_N = 0.079, with a rubber of about 1.6 MPa "
+        "(switch.modulus_MPa): at 10 MPa bowls have thresholds of 0.4 to 0.9 N"
+    )
+    assert new_command._switches_of(small(), 3.0)[1].endswith("(wanted: 3 N)")
