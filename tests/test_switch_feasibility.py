@@ -107,9 +107,12 @@ def test_a_new_design_has_a_rubber_for_its_threshold() -> None:
     assert "rubber must have 1.7 MPa" in words
     same, words = new_command._switches_of(small(), 0.3)
     assert same == small()
-    assert words == (
+    start, end = words.split(", with a rubber of about ")
+    assert start == (
         "a contact trips a switch from about 1.5 N (wanted: 0.3 N); for less, set "
-        "switch.threshold_N = 0.099 and release_N = 0.079, with a rubber of about 1.6 MPa "
-        "(switch.modulus_MPa): at 10 MPa bowls have thresholds of 0.4 to 0.9 N"
+        "switch.threshold_N = 0.099 and release_N = 0.079"
     )
+    softer_MPa, thinnest_N = float(end.split()[0]), float(end.split()[-2])
+    assert softer_MPa == pytest.approx(10.0 * 0.099 / 1.2 / thinnest_N, rel=0.05)
+    assert 0.3 < thinnest_N < 0.5
     assert new_command._switches_of(small(), 3.0)[1].endswith("(wanted: 3 N)")

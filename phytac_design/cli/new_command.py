@@ -109,6 +109,8 @@ def _ask_design(out: Path | None, *, full: bool) -> None:
 
 def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
     """The design with a rubber for its threshold, and a sentence on the forces that it reads."""
+    from phytac_design.mechanics.switch.feasible_range import smallest_N
+    from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
     from phytac_design.study.advice.first_design import trip_force_N
     from phytac_design.workflows.switch_feasibility import (
         check_thresholds,
@@ -116,7 +118,7 @@ def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
         threshold_range,
     )
 
-    rubber = ""
+    softened = ""
     try:
         check_thresholds(design, progress=say)
     except DesignError:
@@ -126,24 +128,27 @@ def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
         modulus_MPa = modulus_for(design.switch.threshold_N, found)
         own = design.switch.model_copy(update={"modulus_MPa": modulus_MPa})
         design = design.model_copy(update={"switch": own})
-        rubber = f"; their rubber must have {modulus_MPa:g} MPa (switch.modulus_MPa)"
+        softened = f"; their rubber must have {modulus_MPa:g} MPa (switch.modulus_MPa)"
     trip_N = trip_force_N(design)
-    switches = f"a contact trips a switch from about {trip_N:.2g} N (wanted: {least_N:g} N){rubber}"
+    switches = (
+        f"a contact trips a switch from about {trip_N:.2g} N (wanted: {least_N:g} N){softened}"
+    )
     # Numbers of design files are rounded to two digits.
     if trip_N <= 1.05 * least_N:
         return design, switches
-    found = threshold_range(design, progress=say)
-    factor = least_N / trip_N
+    factor, margin = least_N / trip_N, 1.2  # above the thinnest wall's threshold
     threshold_N, release_N = (
-        float(f"{factor * force:.2g}")
-        for force in (design.switch.threshold_N, design.switch.release_N)
+        float(f"{factor * force_N:.2g}")
+        for force_N in (design.switch.threshold_N, design.switch.release_N)
     )
     change = f"for less, set switch.threshold_N = {threshold_N:g} and release_N = {release_N:g}"
-    if found is not None and threshold_N < found.min_N:
+    stiff, found_N = rubber_of(design), smallest_N(rubber_of(design), space_of(design))
+    if found_N is not None and threshold_N < found_N:
+        modulus_MPa = stiff.material.modulus_MPa
+        softer_MPa = modulus_MPa * threshold_N / (margin * found_N)
         change += (
-            f", with a rubber of about {modulus_for(threshold_N, found):g} MPa "
-            f"(switch.modulus_MPa): at {found.modulus_MPa:g} MPa bowls have thresholds of "
-            f"{found.min_N:.3g} to {found.max_N:.3g} N"
+            f", with a rubber of about {softer_MPa:.2g} MPa (switch.modulus_MPa): at "
+            f"{modulus_MPa:g} MPa the thinnest bowl snaps at {found_N:.2g} N"
         )
     return design, f"{switches}; {change}"
 

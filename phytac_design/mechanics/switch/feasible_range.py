@@ -101,6 +101,11 @@ def misfit(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
     return "no wall gives it that snaps, returns and moves the tip far enough"
 
 
+def smallest_N(rubber: Rubber, space: SwitchSpace) -> float | None:
+    """Threshold with the thinnest wall, N, on the coarse mesh; None if it does not snap."""
+    return _limit_N(rubber, space, fillets(space)[0], space.wall_min_mm)
+
+
 def fit_words(threshold_N: float, found: FeasibleRange) -> str:
     """What would fit, without a full stop: thresholds of this rubber, moduli for this threshold."""
     low, high = moduli_MPa(threshold_N, found)
