@@ -136,6 +136,11 @@ def test_a_folder_gives_one_row_per_frame(toy: Path) -> None:
     assert "#1 " in lines[2]
     assert re.search(r"^4 frames in \d+\.\d s, 0 unread, 0 skipped, 0 missed, \d with", besides)
     assert besides.splitlines()[-1].startswith("next: give --rest FRAME")
+    assert "timestamps: number of the frame / 10 fps\n" in besides
+    # Names without times: what looks like a time is that of reading.
+    _, besides = run(toy / "decoder", toy / "frames", "--rest-first", "1")
+    assert "timestamps: when it was read, from the first" in besides
+    assert "--fps gives a recording the rate" in besides
     _, besides = run(toy / "decoder", toy / "frames", "--fps", "10", "--rest-first", "1")
     assert "next: " not in besides
 

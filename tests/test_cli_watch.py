@@ -56,7 +56,7 @@ def test_each_save_builds_what_it_changes(watched: subprocess.Popen[str], tmp_pa
     assert "x: 1 stages run" in line_with(watched, "stages run")
     before = mesh.read_bytes()
     save(design, to_toml(tiny()).replace("length_mm = 24.0", "length_mm = -24.0"))
-    assert "error[field-invalid]" in line_with(watched, "error[")
+    assert "NOT BUILT: error[field-invalid]" in line_with(watched, "error[")
     assert mesh.read_bytes() == before
     # A save during a build stops it.
     save(design, to_toml(tiny(material={"modulus_MPa": 1234.0})))
@@ -92,6 +92,9 @@ def test_the_page_shows_the_report_again_after_a_build(tmp_path: Path) -> None:
         said.append(report.with_name("watch.js").read_text())
     assert said[0] == said[1] != said[2]
     assert '"built"' in said[2]
+    assert said[2].endswith('"built", false);\n')
+    write_page(tmp_path, "no build", failed=True)
+    assert report.with_name("watch.js").read_text().endswith('"no build", true);\n')
     assert 'src="report.html"' in report.with_name("watch.html").read_text()
 
 

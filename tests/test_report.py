@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -24,7 +25,7 @@ from phytac_design.report import (
 from phytac_design.report.report_figures import MAP, Drawing
 from phytac_design.stages.build import BuildResult
 from phytac_design.stages.report_stage import forced_past
-from phytac_design.stages.views_stage import run_views
+from phytac_design.stages.views_stage import run_views, summary_of
 from tests.designs import DRAWN, drawn, small
 
 FAMILIES = {
@@ -64,6 +65,7 @@ def a_report(**changes: Any) -> dict[str, Any]:
             "not_solved": 0,
         },
         "limits": [],
+        "read_well": {"contacts": 60, "share": 0.95, "middle": 1.0, "near_rims": None},
         "shell": {"watertight": True},
         "switch": {
             "refused": "",
@@ -231,6 +233,14 @@ def test_each_answer_is_to_its_own_question() -> None:
             "from 6.254 N on: marker (row 2, column 4), pressed on marker (row 3, column 4)",
         ),
         ({"limits": ["3 of 40 switches cannot be read well"]}, "odd", "3 of 40 switches cannot"),
+        (
+            {"read_well": {"contacts": 60, "share": 0.7, "middle": 0.9, "near_rims": 0.35}},
+            "odd",
+            (
+                "70 % of 60 simulated contacts anywhere on the surface are read within 10 % of "
+                "their force (90 % at middle heights, 35 % towards the rims)"
+            ),
+        ),
         ({"shell": {"watertight": False}}, "bad", "NOT watertight"),
         (
             {"fabrication": a_report()["fabrication"] | {"print_violations": 3}},
@@ -269,6 +279,44 @@ def test_verdict_says_what_fails(change: dict[str, Any], level: str, text: str) 
     found = verdict.findings(a_report(**change))
     assert any(text in item.text and item.level == level for item in found)
     assert f'class="verdict {level}"' in verdict.lead(a_report(**change))
+
+
+def test_contacts_that_are_read_well_are_counted_by_height() -> None:
+    surface = drawn("cylinder", 0).surface()
+    low, high = surface.domain[0]
+    span = high - low
+    u = low + span * np.array([0.02, 0.04, 0.5, 0.5, 0.5, 0.5, 0.02])
+    arrays = {
+        "twin": {
+            "anywhere.tripped": np.array([True] * 6 + [False]),
+            "anywhere.force_N": np.full(7, 10.0),
+            "anywhere.uv": np.column_stack([u, np.zeros(7)]),
+        },
+        "decoder": {"anywhere.auto": np.array([13.0, 9.5, 10.5, 9.1, 11.0, 12.0, 0.0])},
+    }
+    context: Any = SimpleNamespace(arrays=arrays.__getitem__, surface=surface)
+    found = verdict.read_well(context, "auto")
+    assert found["contacts"] == 6
+    assert [found[key] for key in ("share", "middle", "near_rims")] == pytest.approx(
+        [4 / 6, 3 / 4, 1 / 2]
+    )
+    arrays["twin"]["anywhere.tripped"] = np.zeros(7, dtype=bool)
+    assert verdict.read_well(context, "auto")["share"] is None
+    none = a_report(read_well=verdict.read_well(context, "auto"))
+    assert {item.level for item in verdict.findings(none)} == {"good"}
+
+
+def test_unreadable_switches_of_a_build_are_the_decoders() -> None:
+    seen: Any = SimpleNamespace(
+        summary=lambda *, switches: (
+            {"occluded": 0} | ({"switch_unreadable": 7} if switches else {})
+        ),
+        centroid_px=np.zeros((4, 2)),
+    )
+    rest, out = np.array([0.0, 0.0, 100.0, 100.0]), np.array([3.9, 4.1, 133.9, 134.1])
+    found = summary_of(seen, rest, out, switches=True)
+    assert found == {"occluded": 0, "switch_unreadable": 2}
+    assert summary_of(seen, rest, out, switches=False) == {"occluded": 0}
 
 
 def test_verdict_without_a_decoded_contact() -> None:

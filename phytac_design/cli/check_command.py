@@ -111,11 +111,11 @@ def _print_check(report: dict[str, Any]) -> None:
         nearest, farthest = camera["working_distance_mm"]
         typer.echo(
             f"camera {camera['stand_off_mm']:.2f} mm before the {camera['end']} rim, field of view "
-            f"{across:.0f}° x {down:.0f}°, markers {nearest:.0f} to {farthest:.0f} mm away; "
-            f"a px is {lens['median_mm_per_px_axial']:.3g} mm along the sensor, "
-            f"{lens['median_mm_per_px_circumferential']:.3g} mm around it; sharp from "
-            f"{lens['depth_near_mm']:.1f} to {lens['depth_far_mm']:.1f} mm, blur up to "
-            f"{lens['max_blur_px']:.2g} px"
+            f"{across:.0f}° x {down:.0f}°; a px is {lens['median_mm_per_px_axial']:.3g} mm along "
+            f"the sensor, {lens['median_mm_per_px_circumferential']:.3g} mm around it; "
+            f"{camera['distances']}, markers are {nearest:.1f} to {farthest:.1f} mm away, and the "
+            f"image is sharp from {lens['depth_near_mm']:.1f} to {lens['depth_far_mm']:.1f} mm "
+            f"(blur up to {lens['max_blur_px']:.2g} px)"
         )
     needs = {
         "occluded": "must be 0",
@@ -123,7 +123,7 @@ def _print_check(report: dict[str, Any]) -> None:
         "min_visible_fraction": f"needs {FRACTION_MIN:g}",
         "min_visible_px": f"needs {PIXELS_MIN}",
         "min_gap_px": f"needs more than {FUSED_PX:g}",
-        "switch_unreadable": "should be 0",
+        "switch_unreadable": "should be 0; by exact pixels, a build counts them in frames",
     }
     for key, value in seen.items():
         need = f"  ({needs[key]})" if key in needs else ""
@@ -136,7 +136,7 @@ def _verdict(report: dict[str, Any], *, visible: bool) -> str:
         verdict += "; its switches cannot be made (see the error)"
     blind = report["visibility"].get("switch_unreadable", 0)
     if blind:
-        verdict += f"; {blind} switches cannot be read"
+        verdict += f"; about {blind} switches cannot be read"
     return f"{verdict} ({report['seconds']:.1f} s)"
 
 

@@ -126,6 +126,8 @@ def decode(
             pace=False,
         )
         _decode_recording(session, files, moment_about, as_json=as_json)
+        rate = "" if fps else "; --fps gives a recording the rate that it was taken with"
+        say(f"timestamps: {session.source.clock}{rate}")
     if not (rest or rest_first or as_json):
         # Rows are on the other stream.
         say(f"next: {GIVE_REST}")

@@ -23,13 +23,16 @@ html, body { margin: 0; height: 100%; overflow: hidden }
 iframe { width: 100%; height: 100%; border: 0 }
 #state { position: fixed; right: 0; bottom: 0; margin: 0; padding: 0.3em 1em; max-width: 80%;
   font: 14px sans-serif; background: #fffd; color: #222 }
+#state.failed { left: 0; max-width: none; background: #a00; color: #fff }
 </style>
 <iframe title="report" src="report.html"></iframe>
 <p id="state" role="status"></p>
 <script>
 let shown;
-function state(build, text) {
-  document.getElementById("state").textContent = text;
+function state(build, text, failed) {
+  const line = document.getElementById("state");
+  line.textContent = text;
+  line.className = failed ? "failed" : "";
   if (shown !== undefined && shown !== build)
     document.querySelector("iframe").src = "report.html?" + build;
   shown = build;
@@ -88,8 +91,8 @@ def watch(
     settings, names = settings_of(accuracy), names_of(only) or None
     target = out
 
-    def build_once(seen: Saved) -> str:
-        """Build what was saved; what there is to say about it."""
+    def build_once(seen: Saved) -> tuple[str, bool]:
+        """Build what was saved; what there is to say about it, and whether it failed."""
         nonlocal target
         try:
             loaded = load_design(str(design))
@@ -112,8 +115,8 @@ def watch(
                     costs=partial(stage_costs, loaded, settings),
                 )
         except PhytacError as error:
-            return f"error[{error.code}]: {error}"
-        return f"{target}: {len(result.ran)} stages run, {result.seconds:.1f} s"
+            return f"NOT BUILT: error[{error.code}]: {error}", True
+        return f"{target}: {len(result.ran)} stages run, {result.seconds:.1f} s", False
 
     with resumable("stopped"):
         seen: Saved = ()
@@ -124,10 +127,13 @@ def watch(
                 continue
             seen = now
             with suppress(SavedError):
-                text = f"{time.strftime('%H:%M:%S')} {build_once(seen)}"
-                say(text)
-                if target and write_page(target, text):
-                    say(f"open {target / 'report' / 'watch.html'}")
+                said, failed = build_once(seen)
+                text = f"{time.strftime('%H:%M:%S')} {said}"
+                # Colours are left out where the stream is no terminal.
+                typer.secho(text, err=True, fg="red" if failed else None, bold=failed)
+                if target and write_page(target, text, failed=failed):
+                    page = target / "report" / "watch.html"
+                    say(f"{page} shows the last build that succeeded" if failed else f"open {page}")
 
 
 Saved = tuple[tuple[str, int, int], ...]
@@ -147,13 +153,15 @@ def saved(design: Path) -> Saved:
     return tuple((str(path), state.st_mtime_ns, state.st_size) for path, state in states)
 
 
-def write_page(out: Path, text: str) -> bool:
+def write_page(out: Path, text: str, *, failed: bool = False) -> bool:
     """Write the page that shows the report of a build, and what it reads; False without a report.
 
     Parameters
     ----------
     text : str
         Outcome of the last build.
+    failed : bool
+        Whether it failed; the report is then that of an earlier one.
     """
     report = out / "report" / "report.html"
     if not report.is_file():
@@ -163,6 +171,7 @@ def write_page(out: Path, text: str) -> bool:
         page.write_text(PAGE, encoding="utf-8")
     partial_file = report.with_name(".watch.js.part")
     build = file_hash(report)[:16]
-    partial_file.write_text(f"state({json.dumps(build)}, {json.dumps(text)});\n", encoding="utf-8")
+    call = ", ".join(map(json.dumps, (build, text, failed)))
+    partial_file.write_text(f"state({call});\n", encoding="utf-8")
     partial_file.replace(report.with_name("watch.js"))
     return True

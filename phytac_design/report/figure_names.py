@@ -65,7 +65,7 @@ NAMES: dict[str, str] = {
     "switch.red.farthest_marker": "marker farthest from the camera",
     "switch.red.farthest_on_px": "its red when out (px)",
     "switch.red.farthest_needed_px": "red that the decoder needs there (px)",
-    "switch.red.unreadable": "switches that show too little red",
+    "switch.red.unreadable": "switches whose tip looks alike at rest and out",
     "fabrication.mold.hausdorff_mm": "mold: farthest from the switch's shape (mm)",
     "fabrication.mold.shared_mm3": "mold: volume that closed halves share (mm³)",
     "fabrication.interference_mm3": "assembly: volume that parts share (mm³)",

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from phytac_design.core.html import DASH, missing, number
 from phytac_design.engine.stage import Context
+from phytac_design.layout.heights_along import along_mm, middle_mm
 
 Level = Literal["good", "odd", "bad"]
 Matter = Literal["seen", "printed", "cast", "decoded"]
@@ -35,6 +38,10 @@ ANSWERS: dict[Matter, dict[Level, str]] = {
     },
 }
 WORDS: dict[Level, str] = {"good": "yes", "odd": "with limits", "bad": "no"}
+ERROR_MAX = 0.1
+"""A force is read well within this share of it (assumed; the paper's mean error is 2.3 %)."""
+SHARE_MIN = 0.9
+"""Share of the contacts anywhere that must be read well for a yes (assumed)."""
 SIMULATED = (
     "All decoder figures are in simulation: contacts are solved with a linear shell model (on a "
     "finer mesh than the decoder's own), projected through the camera, and given pixel noise. "
@@ -136,6 +143,19 @@ def _decoded(report: Mapping[str, Any]) -> list[Finding]:
     if not out:
         text = "every switch can be read, and the force on every marker"
         out = [Finding("decoded", "good", text)]
+    well = report["read_well"]
+    if well["contacts"]:
+        where = (
+            f"{100.0 * well[key]:.0f} % {words}"
+            for key, words in (("middle", "at middle heights"), ("near_rims", "towards the rims"))
+            if not missing(well[key])
+        )
+        text = (
+            f"{100.0 * well['share']:.0f} % of {well['contacts']} simulated contacts anywhere on "
+            f"the surface are read within {100.0 * ERROR_MAX:g} % of their force "
+            f"({', '.join(where)})"
+        )
+        out.append(Finding("decoded", "good" if well["share"] >= SHARE_MIN else "odd", text))
     frames = report["frames"]
     if frames["refused"]:
         text = (
@@ -144,6 +164,24 @@ def _decoded(report: Mapping[str, Any]) -> list[Finding]:
         )
         out.append(Finding("decoded", "odd", text))
     return out
+
+
+def read_well(context: Context, estimator: str) -> dict[str, Any]:
+    """Share of the held-out contacts anywhere whose force an estimator reads within ``ERROR_MAX``.
+
+    Of contacts that tripped a switch; also apart for middle heights and the rest, where None means
+    that there are none.
+    """
+    twin, surface = context.arrays("twin"), context.surface
+    tripped, force_N = twin["anywhere.tripped"], twin["anywhere.force_N"]
+    decoded_N = context.arrays("decoder")[f"anywhere.{estimator}"]
+    height = along_mm(surface, twin["anywhere.uv"])[tripped]
+    well = (np.abs(decoded_N - force_N) <= ERROR_MAX * force_N)[tripped]
+    low, high = middle_mm(surface)
+    middle = (height >= low) & (height <= high)
+    groups = {"share": np.ones_like(middle), "middle": middle, "near_rims": ~middle}
+    shares = {key: float(well[own].mean()) if own.any() else None for key, own in groups.items()}
+    return {"error_max": ERROR_MAX, "contacts": len(well), **shares}
 
 
 def _at_rest(report: Mapping[str, Any]) -> Finding:

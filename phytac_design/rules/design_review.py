@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
+from phytac_decoder.camera.lens import Perspective
 from phytac_design.design.field_of_view import fields_of_view_deg
 from phytac_design.design.spec import Design
 from phytac_design.design.unit_hints import unit_hints
@@ -85,6 +86,9 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
                 "stand_off_mm": stand_off_mm(design, surface, camera),
                 "field_of_view_deg": fields_of_view_deg(camera.lens),
                 "working_distance_mm": working_distance_mm(camera, markers),
+                "distances": "along the axis"
+                if isinstance(camera.lens, Perspective)
+                else "from the camera's centre",
                 "best_for": int((best == number).sum()),
                 "visibility": own.summary(switches=design.has_switches),
                 "lens": lens_facts(sensor, camera),
@@ -98,8 +102,13 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
 
 
 def working_distance_mm(camera: Camera, markers: Markers) -> tuple[float, float]:
-    """Distances from a camera's centre to its nearest and its farthest marker."""
-    away = np.linalg.norm(markers.tip_mm - camera.position_mm, axis=1)
+    """Distances of a camera's nearest and farthest marker, as its focus is counted.
+
+    Along the axis for lenses that image planes sharply, else from the camera's centre.
+    """
+    points = camera.to_camera(markers.tip_mm)
+    flat = isinstance(camera.lens, Perspective)
+    away = points[:, 2] if flat else np.linalg.norm(points, axis=1)
     return float(away.min()), float(away.max())
 
 

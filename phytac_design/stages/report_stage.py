@@ -17,7 +17,7 @@ from phytac_design.report.explorer import DATA_ID, explorer_data
 from phytac_design.report.fabrication_section import fabrication_facts
 from phytac_design.report.provenance import provenance_of
 from phytac_design.report.report_sections import sections_of
-from phytac_design.report.verdict import SIMULATED, best_of, changes_of, lead
+from phytac_design.report.verdict import SIMULATED, best_of, changes_of, lead, read_well
 from phytac_design.report.viewer.assets import data_tag, script_tags, style
 from phytac_design.stages.loaded_views_stage import UNDERLOAD
 from phytac_design.stages.switch_stage import SWITCH
@@ -33,7 +33,7 @@ def gather(context: Context) -> dict[str, Any]:
     reasons = forced_past(context)
     timing = {name: cache.record(folder)["seconds"] for name, folder in context.folders.items()}
     return {
-        "schema_version": "1.3",
+        "schema_version": "1.4",
         "design": design.name,
         "description": design.description,
         "simulated": SIMULATED,
@@ -74,6 +74,7 @@ def gather(context: Context) -> dict[str, Any]:
         "mesh": context.facts("mesh"),
         "decoder": {name: decoder["test"][name] for name in decoder["test"]},
         "decoder_anywhere": decoder["anywhere"],
+        "read_well": read_well(context, best_of({"decoder": decoder["test"]})),
         "training": decoder["training"],
         "limits": decoder["limits"]["sentences"],
         "limit_figures": {k: v for k, v in decoder["limits"].items() if k != "sentences"},

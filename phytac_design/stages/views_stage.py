@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from phytac_decoder.vision.switch_detection import TipModel
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, export_path, write_arrays, write_facts
 from phytac_design.layout.cameras import stand_off_mm, tolerance_mm
@@ -17,6 +18,7 @@ from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import build_scene, paint_owner
 from phytac_design.optics.sharpness import lens_facts
 from phytac_design.optics.visibility import (
+    Visibility,
     best_of,
     check_visibility,
     marks_advice,
@@ -60,6 +62,21 @@ def _noise(sensor: Sensor, shot: Shot, rng: np.random.Generator) -> tuple[FloatA
     )
 
 
+def summary_of(
+    seen: Visibility, red_rest_px: FloatArray, red_on_px: FloatArray, *, switches: bool
+) -> dict[str, float]:
+    """Summary of what is seen; its unreadable switches are those of the decoder.
+
+    Red areas (n,) are those that the decoder's segmentation finds in rendered frames; counts of
+    exact pixels (``phytac check``) differ by a few switches.
+    """
+    summary = seen.summary(switches=switches)
+    if switches:
+        tips = TipModel(on_px=seen.centroid_px, red_rest_px=red_rest_px, red_on_px=red_on_px)
+        summary["switch_unreadable"] = int((~tips.readable).sum())
+    return summary
+
+
 def run_views(context: Context, folder: Path) -> None:
     """Visibility, density, expectations of the marker detector, and pictures."""
     design, surface, markers = context.design, context.surface, context.markers
@@ -95,7 +112,7 @@ def run_views(context: Context, folder: Path) -> None:
         for each in map(picked, zip(*noise_px, strict=True))
     )
     write_arrays(folder, arrays)
-    renderer = "none"
+    renderer, switches = "none", design.has_switches
     if context.scene is None or context.scene.pictures:
         context.progress("views: pictures")
         for shot, mark in zip(shots, CAMERA_SUFFIXES, strict=False):
@@ -109,7 +126,9 @@ def run_views(context: Context, folder: Path) -> None:
     write_facts(
         folder,
         {
-            "visibility": best.summary(switches=context.design.has_switches),
+            "visibility": summary_of(
+                best, arrays["tip_red_rest_px"], arrays["tip_red_on_px"], switches=switches
+            ),
             "density": asdict(density_of(surface, markers)),
             "stand_off_mm": stand_off_mm(design, surface, shots[0].camera),
             "cameras": [
@@ -117,7 +136,12 @@ def run_views(context: Context, folder: Path) -> None:
                     "end": "far" if end else "near",
                     "stand_off_mm": stand_off_mm(design, surface, shot.camera),
                     "best_for": int((camera == number).sum()),
-                    "visibility": shot.seen.summary(switches=context.design.has_switches),
+                    "visibility": summary_of(
+                        shot.seen,
+                        shot.expected.tips.red_rest_px,
+                        shot.expected.tips.red_on_px,
+                        switches=switches,
+                    ),
                     "lens": lens_facts(context.sensor, shot.camera),
                 }
                 for number, (end, shot) in enumerate(
@@ -170,7 +194,9 @@ def run_compare(context: Context, folder: Path) -> None:
     near = sensor.cameras[0]
     scene = build_scene(sensor, tolerance_mm=tolerance_mm(near, markers))
     write_image(export_path(folder, "views/straight.png"), picture_or_frame(scene, near)[0])
-    write_facts(folder, {"straight": best_of(each)[0].summary()})
+    straight = best_of(each)[0].summary()
+    del straight["switch_unreadable"]  # counted by exact pixels, see :func:`summary_of`
+    write_facts(folder, {"straight": straight})
 
 
 VIEWS = Stage(

@@ -1,6 +1,7 @@
 """Field of view in place of a focal length, and image sizes without one."""
 
 import tomllib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 from phytac_design.design.design_file import design_hash, parse_design, to_toml
 from phytac_design.design.field_of_view import fields_of_view_deg
 from phytac_design.design.spec import CameraSection, Design
-from phytac_design.rules.design_review import checkup
+from phytac_design.layout.sensor import Sensor
+from phytac_design.rules.design_review import checkup, working_distance_mm
 from tests.designs import changed
 from tests.refusals import refused
 
@@ -107,3 +109,17 @@ def test_the_check_states_field_of_view_and_working_distance() -> None:
     # The nearest tip stands on the first row, some 29 mm off the axis; the farthest one 120 mm in.
     assert seen["stand_off_mm"] < nearest < 60.0
     assert 120.0 < farthest < 120.0 + seen["stand_off_mm"] + 10.0
+
+
+def test_distances_are_those_of_the_focus() -> None:
+    sensor = Sensor(changed(layout={"rows": 4}))
+    (pinhole,) = sensor.cameras
+    ahead = pinhole.to_camera(sensor.markers.tip_mm)
+    found = working_distance_mm(pinhole, sensor.markers)
+    assert found == pytest.approx((ahead[:, 2].min(), ahead[:, 2].max()))
+    wide = camera(**SIZE, field_of_view_deg=90, model="fisheye").lens()
+    away = np.linalg.norm(ahead, axis=1)
+    fisheye = replace(pinhole, lens=wide)
+    found = working_distance_mm(fisheye, sensor.markers)
+    assert found == pytest.approx((away.min(), away.max()))
+    assert away.min() > ahead[:, 2].min() + 1.0

@@ -170,7 +170,7 @@ export class Views {
     this.checked = found;
     const lines = found.warnings.map(text => ["odd", text]);
     const blind = found.visibility.switch_unreadable;
-    if (blind) lines.unshift(["odd", `${blind} switches cannot be read`]);
+    if (blind) lines.unshift(["odd", `about ${blind} switches cannot be read`]);
     if (found.clear) {
       this.verdict(lines.length ? "odd" : "good", "Every marker is visible and separate.", lines,
         "As `phytac check` finds.");
