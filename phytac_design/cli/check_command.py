@@ -128,6 +128,33 @@ def _print_check(report: dict[str, Any]) -> None:
     for key, value in seen.items():
         need = f"  ({needs[key]})" if key in needs else ""
         typer.echo(f"  {name_of(f'visibility.{key}'):48s} {value:.4g}{need}")
+    _print_effort(report["effort"])
+
+
+def _print_effort(effort: dict[str, Any]) -> None:
+    """Parts, hand work and material, before anything is made."""
+    grams = {name: f"{mass:.0f} g" for name, mass in effort["mass_g"].items()}
+    typer.echo(
+        f"to make: {effort['parts_handled']} parts, {effort['hours_total']:.1f} h of hand work, "
+        f"{effort['hours_paint_and_glue']:.1f} h of it painting and gluing"
+    )
+    typer.echo(f"  {effort['receptor_ends']} receptor ends to paint inside the shell")
+    if effort["switches"]:
+        typer.echo(
+            f"  {effort['switches']} switches to cast, trim, paint and glue; stem lengths: "
+            f"{effort['stem_lengths']}, castings: {effort['castings']}"
+        )
+    typer.echo(f"  {effort['parts_printed']} printed parts; resin of the shell {grams['shell']}")
+    if effort["castings"]:
+        typer.echo(
+            f"  molds: resin {grams['molds']}, silicone {grams['silicone']}, rubber "
+            f"{grams['rubber']}"
+        )
+    if effort["price"] is not None:
+        typer.echo(f"  price, hand work included where it has one: {effort['price']:.2f}")
+    typer.echo("  (times are assumed: set your own in the table [effort])")
+    if effort["left_out"]:
+        say(f"warning: no molds can be planned: {effort['left_out']}")
 
 
 def _verdict(report: dict[str, Any], *, visible: bool) -> str:

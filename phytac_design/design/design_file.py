@@ -64,11 +64,13 @@ def with_unit_hints(error: DesignError, data: Any) -> DesignError:
 def design_hash(design: Design) -> str:
     """Hash of the resolved design, the same for the same fields in any order.
 
-    Names of regions are left out: with others it is still the same sensor. So are reference marks
-    where there are none and paints that were not measured: designs from before they existed keep
-    their hash.
+    Names of regions and the effort are left out: with others it is still the same sensor. So are
+    reference marks where there are none and paints that were not measured: designs from before
+    they existed keep their hash.
     """
-    unused = {"regions"} if design.reference_marks.count else {"regions", "reference_marks"}
+    unused = {"regions", "effort"}
+    if not design.reference_marks.count:
+        unused.add("reference_marks")
     if design.paints == NOMINAL_PAINTS:
         unused.add("paints")
     text = json.dumps(design.model_dump(mode="json", exclude=unused), sort_keys=True)

@@ -10,6 +10,7 @@ from phytac_decoder.camera.lens import LENSES, Lens
 from phytac_decoder.vision.brightness import DOTS
 from phytac_design.design.base_table import Section, assumed
 from phytac_design.design.documents_table import BenchSection, KitSection
+from phytac_design.design.effort_table import EffortSection
 from phytac_design.design.field_of_view import focal_of_view_px
 from phytac_design.design.fixture_table import AnyFixture
 from phytac_design.design.hardware_table import HardwareSection
@@ -317,6 +318,7 @@ class Design(Section):
     mold: MoldSection = MoldSection()
     bench: BenchSection = BenchSection()
     kit: KitSection = KitSection()
+    effort: EffortSection = EffortSection()
     camera: CameraSection = CameraSection()
     light: LightSection = LightSection()
     material: MaterialSection = MaterialSection()

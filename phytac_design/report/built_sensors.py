@@ -60,7 +60,10 @@ class ComparedFigure:
         value: Any = report
         for part in self.path.split("/"):
             if part.endswith("?"):
-                return value.get(part[:-1])
+                value = value.get(part[:-1])
+                if value is None:
+                    return None
+                continue
             value = value[verdict.best_of(report) if part == "*" else part]
         return value if self.factor == 1.0 or page.missing(value) else self.factor * float(value)
 
@@ -109,6 +112,11 @@ FIGURES = (
         100.0,
     ),
     ComparedFigure("dent_mm", "deepest dent (mm)", "under_load/dent_mm"),
+    ComparedFigure("parts_handled", "parts handled", "fabrication/effort?/parts_handled", "less"),
+    ComparedFigure("stem_lengths", "stem lengths", "fabrication/effort?/stem_lengths", "less"),
+    ComparedFigure(
+        "hand_hours", "hand work, estimated (h)", "fabrication/effort?/hours_total", "less"
+    ),
     ComparedFigure("resin_g", "resin, all printed parts (g)", "fabrication/mass_g/resin?", "less"),
     ComparedFigure("rubber_g", "rubber (g)", "fabrication/mass_g/tpu?", "less"),
     ComparedFigure(

@@ -6,6 +6,7 @@ from typing import Any
 
 from phytac_design.core import html as page
 from phytac_design.engine.stage import EXPORT, Context
+from phytac_design.fabrication.effort.effort import OPERATIONS, PARTS
 from phytac_design.report import figure_names
 from phytac_design.report.verdict import sentence
 
@@ -78,6 +79,41 @@ def print_rules(context: Context) -> str:
     return f"<h3>Print rules</h3>{text}{shown}{listed}" + page.details("All rules", rules)
 
 
+def effort_tables(effort: Mapping[str, Any]) -> str:
+    """Parts, hand work and material side by side, as HTML."""
+    materials = {
+        "shell": "shell, resin",
+        "molds": "molds, resin",
+        "silicone": "silicone",
+        "rubber": "rubber, with what runs over",
+    }
+    parts = [(PARTS[name], count) for name, count in effort["parts"].items() if count]
+    hours = [(OPERATIONS[name], hour) for name, hour in effort["hours"].items() if hour]
+    masses = [
+        (name, effort["mass_g"][key]) for key, name in materials.items() if effort["mass_g"][key]
+    ]
+    words = [f"{effort['receptor_ends']} receptor ends are painted by hand"]
+    if effort["switches"]:
+        words.append(
+            f"{effort['switches']} switches are cast, trimmed, painted and glued (stem lengths: "
+            f"{effort['stem_lengths']}, castings: {effort['castings']})"
+        )
+    if effort["price"] is not None:
+        words.append(f"price at the design's prices: {effort['price']:.2f}")
+    return (
+        f"<h3>Parts and hand work</h3><p>{escape(sentence('; '.join(words)))}</p>"
+        + page.side_by_side(
+            page.table(("parts", "count"), [*parts, ("all", effort["parts_handled"])]),
+            page.table(("hand work", "h"), [*hours, ("all", effort["hours_total"])]),
+            page.table(("material", "g"), masses),
+        )
+        + f"<p>Tools: {escape(', '.join(effort['tools']))}.</p>"
+        '<p class="foot">Estimated from the design alone, with the times of its table [effort]; '
+        "printing and curing take no hands and are not counted. The calibration kit is not among "
+        "the parts, and the printed hardware not in the material.</p>"
+    )
+
+
 def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
     """HTML of the section."""
     facts = report["fabrication"]
@@ -95,7 +131,7 @@ def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
         (item["joint"], item["screw"], item["count"], item["head_part"], item["thread_part"])
         for item in facts["screws"]
     ]
-    out = f"<p>Documents for the workshop: {documents}.</p>"
+    out = effort_tables(facts["effort"]) + f"<p>Documents for the workshop: {documents}.</p>"
     for key in ("hardware_left_out", "mold_left_out"):
         if facts[key]:
             out += f'<p class="foot">{escape(sentence("left out: " + facts[key]))}</p>'
@@ -106,5 +142,9 @@ def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
         )
     if joints:
         out += page.table(("joint", "screw", "count", "head in", "thread in"), joints)
-    plain = {key: value for key, value in facts.items() if key not in ("screws", "print_unchecked")}
+    plain = {
+        key: value
+        for key, value in facts.items()
+        if key not in ("screws", "print_unchecked", "effort")
+    }
     return out + figure_names.facts(plain, "fabrication") + print_rules(context)

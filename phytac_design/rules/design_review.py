@@ -11,6 +11,7 @@ from phytac_decoder.camera.lens import Perspective
 from phytac_design.design.field_of_view import fields_of_view_deg
 from phytac_design.design.spec import Design
 from phytac_design.design.unit_hints import unit_hints
+from phytac_design.fabrication.effort.effort import effort_of
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout.cameras import stand_off_mm
 from phytac_design.layout.markers import Markers
@@ -97,6 +98,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
                 zip(design.camera.end_numbers, cameras, each, strict=True)
             )
         ],
+        "effort": effort_of(sensor).as_dict(),
         "seconds": time.perf_counter() - start,
     }
 

@@ -12,6 +12,7 @@ from phytac_design.design.design_file import assumptions
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
+from phytac_design.fabrication.effort.effort import effort_of
 from phytac_design.optics.separability import check_paints
 from phytac_design.report.explorer import DATA_ID, explorer_data
 from phytac_design.report.fabrication_section import fabrication_facts
@@ -70,7 +71,8 @@ def gather(context: Context) -> dict[str, Any]:
         "switch": context.facts("switch"),
         "fabrication": fabrication_facts(
             {name: context.facts(name) for name in ("hardware", "mold", "kit", "printing", "bench")}
-        ),
+        )
+        | {"effort": effort_of(context.sensor).as_dict()},
         "mesh": context.facts("mesh"),
         "decoder": {name: decoder["test"][name] for name in decoder["test"]},
         "decoder_anywhere": decoder["anywhere"],

@@ -339,7 +339,7 @@ def volumes_mm3(
         whole = scale**3 * revolved_volume_mm3(fine[run.kind])
         over = np.array([[0.0, cavity.over[-1, 1]], *cavity.over[::-1], [0.0, 0.0]])
         cavities += run.count * whole
-        stems += run.count * (whole - revolved_volume_mm3(over) + _vent_mm3(sizes, cavity))
+        stems += run.count * (whole - revolved_volume_mm3(over) + vent_mm3(sizes, cavity))
     dome, core = audit.halves
     above = dome.trim_by_plane((0.0, 0.0, 1.0), 0.0)
     filled = float(above.hull().volume() - above.volume())
@@ -351,7 +351,7 @@ def volumes_mm3(
     return found
 
 
-def _vent_mm3(sizes: MoldSizes, cavity: Cavity) -> float:
+def vent_mm3(sizes: MoldSizes, cavity: Cavity) -> float:
     """Rubber in a stem's vent, or its share of the film under the cap."""
     if sizes.section.way == "rigid":
         wide = 2.0 * sizes.trough_mm(cavity, -cavity.reach_mm)

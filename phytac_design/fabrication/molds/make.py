@@ -62,6 +62,40 @@ class MoldSet:
         return stl_triangles(solid)
 
 
+def plan_molds(
+    section: MoldSection,
+    rules: PrintSection,
+    switches: SwitchSet,
+    *,
+    tolerance_mm: float = 0.01,
+) -> tuple[MoldSizes, list[PlateLayout]]:
+    """Sizes of the molds for all switches, and the grids of as few sets as the bed allows.
+
+    Raises
+    ------
+    DesignError
+        If no set fits the bed.
+    """
+    sizes = make_sizes(section, rules, switches, tolerance_mm)
+    rigid = section.way == "rigid"
+    if rigid:
+        check_troughs(sizes)
+    edge = dome_edge_mm(sizes) if rigid else tray_edge_mm(sizes)
+    wide, deep, _ = (side / sizes.print_scale for side in _bed(rules))
+    columns, lines = (int((side - 2.0 * edge) / sizes.pitch_mm) for side in (wide, deep))
+    if min(columns, lines) < LEAST:
+        least = sizes.print_scale * (LEAST * sizes.pitch_mm + 2.0 * edge)
+        raise DesignError(
+            "mold-exceeds-bed",
+            f"the smallest mold ({section.way}) of these switches is {least:.0f} x {least:.0f} "
+            f"mm, the printer's bed {rules.bed_mm[0]:g} x {rules.bed_mm[1]:g} mm, and a mold is "
+            "not split further; lower [mold] wall_mm, moat_mm or channel_mm, or take a larger "
+            "[print_rules] bed_mm",
+        )
+    counts = [(kind, len(switches.markers_of(kind))) for kind in switches.kinds]
+    return sizes, plan_sets(counts, columns, lines)
+
+
 def make_molds(
     section: MoldSection,
     rules: PrintSection,
@@ -76,24 +110,7 @@ def make_molds(
     DesignError
         If no set fits the bed, or the printer cannot make a detail.
     """
-    sizes = make_sizes(section, rules, switches, tolerance_mm)
-    rigid = section.way == "rigid"
-    if rigid:
-        check_troughs(sizes)
-    edge = dome_edge_mm(sizes) if rigid else tray_edge_mm(sizes)
-    wide, deep, high = (side / sizes.print_scale for side in _bed(rules))
-    columns, lines = (int((side - 2.0 * edge) / sizes.pitch_mm) for side in (wide, deep))
-    if min(columns, lines) < LEAST:
-        least = sizes.print_scale * (LEAST * sizes.pitch_mm + 2.0 * edge)
-        raise DesignError(
-            "mold-exceeds-bed",
-            f"the smallest mold ({section.way}) of these switches is {least:.0f} x {least:.0f} "
-            f"mm, the printer's bed {rules.bed_mm[0]:g} x {rules.bed_mm[1]:g} mm, and a mold is "
-            "not split further; lower [mold] wall_mm, moat_mm or channel_mm, or take a larger "
-            "[print_rules] bed_mm",
-        )
-    counts = [(kind, len(switches.markers_of(kind))) for kind in switches.kinds]
-    plans = plan_sets(counts, columns, lines)
+    sizes, plans = plan_molds(section, rules, switches, tolerance_mm=tolerance_mm)
     made = [
         MoldSet(
             plan=plan,
@@ -103,7 +120,7 @@ def make_molds(
         for plan in plans
     ]
     tallest = max(float(np.ptp(mesh.vertices_mm[:, 2])) for mesh in made[0].parts.values())
-    if tallest > high:
+    if tallest > rules.bed_mm[2] / sizes.print_scale:
         raise DesignError(
             "mold-exceeds-height",
             f"the mold's tallest part is {tallest * sizes.print_scale:.3g} mm, the printer's "

@@ -1,9 +1,10 @@
 """The fidelity levels: each a pure function from a candidate to its measures.
 
 ``rules`` places markers and applies every check that a build makes before it computes anything;
-``sampled`` traces some 64 rays a marker and bends the wall in closed form; ``exact`` renders;
-``switch`` solves the threshold bowls; ``mechanics`` takes the Cramér-Rao bound by finite elements;
-``load`` presses the sensor all over and renders; ``twin`` builds and tests its decoder.
+``effort`` counts parts and hand work; ``sampled`` traces some 64 rays a marker and bends the wall
+in closed form; ``exact`` renders; ``switch`` solves the threshold bowls; ``mechanics`` takes the
+Cramér-Rao bound by finite elements; ``load`` presses the sensor all over and renders; ``twin``
+builds and tests its decoder.
 """
 
 import tempfile
@@ -22,7 +23,8 @@ from phytac_design.design.accuracy import settings_of
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, write_arrays
 from phytac_design.fabrication.documents.bill_of_materials import mass_g
-from phytac_design.geometry.envelope import edge_mm
+from phytac_design.fabrication.effort.effort import effort_of
+from phytac_design.fabrication.effort.shell_estimate import shell_volume_mm3
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.sensor import Sensor
@@ -36,7 +38,6 @@ from phytac_design.rules.check import check_design
 from phytac_design.simulation.imaging.nominal_view import paint_slopes
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.surrogate import FORCE_N, predict
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
 Measures = dict[str, float]
@@ -92,7 +93,7 @@ def rules(candidate: Candidate) -> Measures:
     z = surface.bounds_mm()[:, 2]
     lenses = [float(camera.position_mm[2]) for camera in candidate.sensor.cameras]
     outside = ~np.any([camera.sees(markers.tip_mm) for camera in candidate.sensor.cameras], axis=0)
-    mass = mass_g("resin", resin_mm3(design, surface, markers.height_mm)) or 0.0
+    mass = mass_g("resin", shell_volume_mm3(candidate.sensor)) or 0.0
     prices = candidate.study.prices
     return {
         "marker_count": markers.count,
@@ -109,19 +110,14 @@ def rules(candidate: Candidate) -> Measures:
     }
 
 
-def resin_mm3(design: Design, surface: Surface, height_mm: FloatArray) -> float:
-    """Volume of wall, rims and tubes, less the holes, before roots and parts of the hardware."""
-    wall, receptor = design.wall, design.receptor
-    volume = surface.area_mm2(-wall.thickness_mm / 2.0) * wall.thickness_mm
-    outer, hole = receptor.diameter_outer_mm / 2.0, receptor.diameter_hole_mm / 2.0
-    volume += np.pi * float(((outer**2 - hole**2) * height_mm).sum())
-    volume -= np.pi * hole**2 * wall.thickness_mm * len(height_mm)
-    for axis, end in surface.edges():
-        if axis == 0:
-            edge = edge_mm(surface, end, -wall.thickness_mm / 2.0)
-            length = float(np.linalg.norm(edge - np.roll(edge, 1, axis=0), axis=1).sum())
-            volume += length * wall.rim_length_mm * (wall.thickness_mm + wall.rim_flange_mm)
-    return float(volume)
+def effort(candidate: Candidate) -> Measures:
+    """Parts and hand work."""
+    found = effort_of(candidate.sensor)
+    return {
+        "parts_handled": found.parts_handled,
+        "stem_lengths": found.stem_lengths,
+        "hand_hours": found.hours_total,
+    }
 
 
 def sampled(candidate: Candidate) -> Measures:
@@ -296,5 +292,5 @@ def twin(candidate: Candidate) -> Measures:
 
 LEVEL_FUNCTIONS: dict[str, Callable[[Candidate], Measures]] = {
     function.__name__: function
-    for function in (rules, sampled, exact, switch, mechanics, load, twin)
+    for function in (rules, effort, sampled, exact, switch, mechanics, load, twin)
 }

@@ -5,7 +5,7 @@ from difflib import get_close_matches
 
 from phytac_shapes.errors import DesignError
 
-LEVELS = ("rules", "sampled", "exact", "switch", "mechanics", "load", "twin")
+LEVELS = ("rules", "effort", "sampled", "exact", "switch", "mechanics", "load", "twin")
 """Fidelity levels from cheap to expensive; :mod:`.fidelity_levels` computes them."""
 
 
@@ -49,6 +49,11 @@ _TABLE = {
         ("outside_markers", "", "markers whose end lies outside of every camera's image"),
         ("mass_g", "g", "wall, rims and receptors, of resin"),
         ("cost", "", "resin, switches and camera at the study's prices"),
+    ),
+    "effort": (
+        ("parts_handled", "", "parts that are printed, cast or bought; no calibration kit"),
+        ("stem_lengths", "", "different lengths of the switches' stems"),
+        ("hand_hours", "h", "hand work, at the times of the design's table effort"),
     ),
     "sampled": (
         ("sampled_visible_least", "", "least visible fraction of a marker, by about 64 rays each"),

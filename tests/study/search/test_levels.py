@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from phytac_design.design.design_file import design_hash
+from phytac_design.fabrication.effort.effort import effort_of
 from phytac_design.optics.visibility import check_visibility
 from phytac_design.study.search import fidelity_levels
 from phytac_design.study.search.fidelity_levels import Candidate
@@ -38,6 +39,15 @@ def test_rules_and_sampled_measure_all_they_promise() -> None:
     assert found["sampled_hidden"] == 0
 
 
+def test_effort_is_that_of_a_check() -> None:
+    candidate = Candidate(small(), tiny(objective=[{"measure": "hand_hours", "goal": "min"}]))
+    assert candidate.study.levels == ("rules", "effort")
+    found, effort = fidelity_levels.effort(candidate), effort_of(candidate.sensor)
+    assert set(found) == set(measures_up_to(("effort",)))
+    assert found["hand_hours"] == effort.hours_total > 0.0
+    assert found["parts_handled"] == effort.parts_handled > 112
+
+
 def test_mass_is_that_of_a_ring_with_tubes() -> None:
     design = small(wall={"rim_length_mm": 0.0})
     candidate = Candidate(design, tiny())
@@ -47,12 +57,11 @@ def test_mass_is_that_of_a_ring_with_tubes() -> None:
     assert fidelity_levels.rules(candidate)["mass_g"] == pytest.approx(
         1.15e-3 * (ring + tubes - holes), rel=1e-6
     )
-    rims = Candidate(small(), tiny()).sensor
-    more = fidelity_levels.resin_mm3(rims.design, rims.surface, rims.markers.height_mm)
-    less = fidelity_levels.resin_mm3(
-        design, candidate.sensor.surface, candidate.sensor.markers.height_mm
+    more = fidelity_levels.rules(Candidate(small(), tiny()))["mass_g"]
+    rims = 2.0 * np.pi * (31.6**2 - 29.2**2) * 4.0
+    assert more - fidelity_levels.rules(candidate)["mass_g"] == pytest.approx(
+        1.15e-3 * rims, rel=1e-3
     )
-    assert more - less == pytest.approx(2 * np.pi * 2 * 29.6 * 4.0 * (0.8 + 1.6), rel=1e-3)
 
 
 def test_cost_is_of_resin_switches_and_cameras() -> None:
