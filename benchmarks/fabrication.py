@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import fabrication_parts, fabrication_switch
+from benchmarks import fabrication_effort, fabrication_parts, fabrication_switch
 from benchmarks.fabrication_parts import repair_row, slice_row
 from benchmarks.harness import Table, median_of, run_parts
 from phytac_design.design.design_file import load_design, shipped_designs
@@ -205,6 +205,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """All parts by name, in order."""
     return {
         "shells": partial(add_rows, quick=quick),
+        "effort": partial(fabrication_effort.add_rows, quick=quick),
         "printing": partial(fabrication_parts.printing_rows, quick=quick),
         "switch": partial(fabrication_switch.add_rows, quick=quick),
         "molds": partial(fabrication_parts.mold_rows, quick=quick),

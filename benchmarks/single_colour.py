@@ -1,8 +1,8 @@
-"""What it costs to do without colours and switches: the same presses, decoded three times.
+"""What it costs to do without colours and switches: the same presses, decoded for each kind.
 
-One design is built with paints and switches, and as white dots on black and black dots on light
-resin, both without switches. All frames are rendered with sensor noise, and decoded after a rest
-frame by decoders that were made from the designs alone. ::
+One design is built with paints and switches, with paints alone, and as white dots on black and
+black dots on light resin, both without switches. All frames are rendered with sensor noise, and
+decoded after a rest frame by decoders that were made from the designs alone. ::
 
     python -m benchmarks.single_colour [--quick]
 """
@@ -21,6 +21,7 @@ from phytac_design.design.spec import Design
 
 KINDS: dict[str, dict[str, dict[str, Any]]] = {
     "paints and switches": {"layout": {}, "receptor": {}},
+    "paints, no switches": {"layout": {}, "receptor": {"diameter_hole_mm": 0.0}},
     "white dots": {"layout": {"colours": ["white"]}, "receptor": {"diameter_hole_mm": 0.0}},
     # A dark opening behind black dots: those of the far rows are one blob with it.
     "black dots, far end open": {
