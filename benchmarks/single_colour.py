@@ -2,7 +2,8 @@
 
 One design is built with paints and switches, with paints alone, and as white dots on black and
 black dots on light resin, both without switches. All frames are rendered with sensor noise, and
-decoded after a rest frame by decoders that were made from the designs alone. ::
+decoded after a rest frame by decoders that were made from the designs alone. The part
+``cylinder60`` takes the shipped design with switches and without. ::
 
     python -m benchmarks.single_colour [--quick]
 """
@@ -96,9 +97,27 @@ def add_kinds(table: Table, *, quick: bool) -> None:
         add_rows(table, kind, out, results["paints and switches"])
 
 
+def add_shipped(table: Table, *, quick: bool) -> None:
+    """Rows of cylinder60 itself, with switches and without."""
+    presses = 2 if quick else 24
+    data = load_design("cylinder60").model_dump(mode="json")
+    results = {
+        kind: judged(Bench(parse_design(data | {"receptor": receptor}, kind), presses), presses)
+        for kind, receptor in (
+            ("cylinder60", data["receptor"]),
+            ("cylinder60 without switches", data["receptor"] | {"diameter_hole_mm": 0.0}),
+        )
+    }
+    for kind, out in results.items():
+        add_rows(table, kind, out, results["cylinder60"])
+
+
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
-    """Return the only part."""
-    return {"kinds": partial(add_kinds, quick=quick)}
+    """Both parts by name."""
+    return {
+        "kinds": partial(add_kinds, quick=quick),
+        "cylinder60": partial(add_shipped, quick=quick),
+    }
 
 
 if __name__ == "__main__":
