@@ -12,14 +12,20 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import Table
-from phytac_design.design.design_file import shipped_designs
+from phytac_design.design.design_file import load_design, shipped_designs
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.bowl import bowl_model
+from phytac_design.mechanics.switch.cup_design import CupDesign
+from phytac_design.mechanics.switch.cup_press import press_cup
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
 from phytac_design.mechanics.switch.feasible_range import FeasibleRange, feasible_range
 from phytac_design.mechanics.switch.line_plot import line_plot, write_svg
-from phytac_design.mechanics.switch.rubbers import rubber
+from phytac_design.mechanics.switch.rubbers import RUBBERS, rubber
+from phytac_design.mechanics.switch.switch_families import FAMILIES, compare_families
+from phytac_design.mechanics.switch.switch_inputs import space_of
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
+from phytac_design.optics.tip_travel import tip_travel_on_mm
 from phytac_shapes.errors import DesignError
 from verification import switch_cases
 from verification.bowl_calculix import ccx_curve
@@ -155,6 +161,63 @@ def calculix(table: Table, made: SwitchDesign, *, quick: bool) -> None:
     table.add(row, value, "%", float(force.max()), source, "<= 3.0")
 
 
+def families(table: Table, *, quick: bool) -> None:
+    """Families that do not snap: one of each in CalculiX; the spread of all rubbers that fit."""
+    design = load_design("cylinder60")
+    space, travel = space_of(design), tip_travel_on_mm(Sensor(design))
+    ends = [float(np.nanmin(travel)), float(np.nanmax(travel))]
+    source = "travel at which a tip's red is half way between off and on, of cylinder60"
+    table.add(
+        "tips of cylinder60: longest travel less shortest", ends[1] - ends[0], "mm", 0, source
+    )
+    one = "mold-star-20t"
+    rubbers = [rubber(one)] if quick else list(RUBBERS.values())
+    found = compare_families(
+        design.switch.threshold_N,
+        [*rubbers, rubber("tpu-8400n").of_modulus(SOFTER_MPa)],
+        space,
+        travel,
+        families=("membrane", "plunger") if quick else FAMILIES,
+    )
+    for candidate in found:
+        if candidate.spread is None:
+            continue
+        name = f"{candidate.family} of {candidate.rubber.name}"
+        modulus = candidate.rubber.material.modulus_MPa
+        spread = candidate.spread
+        note = (
+            f"wall {spread.thickness:.1%}, diameter {spread.diameter:.1%}, height "
+            f"{spread.height:.1%}, modulus {spread.modulus:.1%}; {candidate.height_mm:.2f} mm high"
+        )
+        source = f"95 % band at {modulus:.3g} MPa, ± 0.05 mm, modulus ± 10 %"
+        row = f"0.5 N on cylinder60, {name}, {modulus:.3g} MPa: spread"
+        table.add(row, 100.0 * spread.band, "%", 20.0, source, note=note)
+    best = found[0].spread
+    value = 100.0 * best.band if best else float("nan")
+    name = f"{found[0].family} of {found[0].rubber.name}"
+    source = "the family that is recommended"
+    table.add("0.5 N on cylinder60: smallest spread", value, "%", 20.0, source, "<= 20.0", name)
+    for family in ("membrane", "plunger"):
+        made = next((item.design for item in found if item.family == family), None)
+        if isinstance(made, CupDesign):
+            _cup_in_calculix(table, made, quick=quick)
+
+
+def _cup_in_calculix(table: Table, made: CupDesign, *, quick: bool) -> None:
+    """Threshold of the same membrane or plunger in CalculiX."""
+    if shutil.which("ccx") is None:
+        return
+    refine = 1 if quick else 2
+    curve = press_cup(made.cup, made.rubber.material, travel_mm=made.travel_mm, refine=refine)
+    end = curve.at("pad_mm", made.travel_mm)
+    with tempfile.TemporaryDirectory() as name:
+        _, force = ccx_curve(Path(name), curve.body, stroke_mm=end, steps=10)
+    row = f"{made.cup.family} 0.5 N: threshold off CalculiX's"
+    source = "CalculiX, CAX8R, *HYPERELASTIC, NLGEOM, the same nodes"
+    value = 100.0 * abs(float(curve.force_at(made.travel_mm)) / float(force[-1]) - 1.0)
+    table.add(row, value, "%", float(force[-1]), source, "<= 3.0", made.rubber.name)
+
+
 def shipped(table: Table, *, quick: bool) -> None:
     """Switches of the shipped designs: limit load, spread of lengths, red that the camera sees."""
     for name in ["cylinder60"] if quick else shipped_designs():
@@ -192,3 +255,4 @@ def add_rows(table: Table, *, quick: bool) -> None:
     shipped(table, quick=quick)
     cap(table, quick=quick)
     switches(table, quick=quick)
+    families(table, quick=quick)

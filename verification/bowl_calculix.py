@@ -1,4 +1,4 @@
-"""The same bowl in CalculiX: axisymmetric eight-node elements, large strain, pad pushed in."""
+"""The same switch in CalculiX: axisymmetric eight-node elements, large strain, pad pushed in."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,6 +7,7 @@ import numpy as np
 
 from phytac_design.mechanics.switch.bowl import BowlModel
 from phytac_design.mechanics.switch.hyperelastic import Material, Ogden, Yeoh
+from phytac_design.mechanics.switch.soft_cup import CupModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
 from verification.calculix import run_ccx
@@ -18,7 +19,7 @@ SECTORS = 180.0
 
 
 def write_ccx(
-    path: Path, body: BowlModel, *, stroke_mm: float, steps: int, element: str = "CAX8R"
+    path: Path, body: BowlModel | CupModel, *, stroke_mm: float, steps: int, element: str = "CAX8R"
 ) -> Path:
     """Write a job that pushes the pad in by ``stroke_mm`` in equal steps.
 
@@ -31,7 +32,7 @@ def write_ccx(
     return path
 
 
-def _job(body: BowlModel, stroke_mm: float, steps: int, element: str) -> Iterator[str]:
+def _job(body: BowlModel | CupModel, stroke_mm: float, steps: int, element: str) -> Iterator[str]:
     mesh = body.model.mesh
     octets = mesh.quads[:, CAX8]
     used = np.unique(octets)
@@ -84,7 +85,12 @@ def _material(material: Material) -> Iterator[str]:
 
 
 def ccx_curve(
-    folder: Path, body: BowlModel, *, stroke_mm: float, steps: int, element: str = "CAX8R"
+    folder: Path,
+    body: BowlModel | CupModel,
+    *,
+    stroke_mm: float,
+    steps: int,
+    element: str = "CAX8R",
 ) -> tuple[FloatArray, FloatArray]:
     """Stroke, mm, and force on the pad, N, by CalculiX, (steps,) each.
 

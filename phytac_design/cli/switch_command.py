@@ -1,12 +1,18 @@
 """The command of the threshold switch."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from phytac_design.cli.options import JsonOption, say
 from phytac_design.cli.output import print_json
+
+if TYPE_CHECKING:
+    from phytac_design.design.spec import Design
+    from phytac_design.mechanics.switch.family_spread import FamilyTolerance
+    from phytac_design.mechanics.switch.rubbers import Rubber
+    from phytac_design.mechanics.switch.switch_space import SwitchSpace
 
 
 def switch(
@@ -18,7 +24,7 @@ def switch(
     ] = None,
     material: Annotated[
         str | None,
-        typer.Option(help="Rubber: tpu-8400n or silicone-a30; the design's if not given."),
+        typer.Option(help="Rubber, such as tpu-8400n; the design's if not given."),
     ] = None,
     modulus: Annotated[
         float | None, typer.Option("--modulus-MPa", help="Young's modulus of the rubber.")
@@ -33,16 +39,26 @@ def switch(
     tolerance: Annotated[
         float | None, typer.Option("--tolerance-mm", help="± of the wall, at two deviations.")
     ] = None,
+    family: Annotated[
+        str | None,
+        typer.Option(
+            help="Compare bowl, membrane or plunger, or auto for all; of all rubbers if none is "
+            "given. Minutes; smallest spread of the threshold first."
+        ),
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Force–stroke curve to write, SVG.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Design the threshold switch: a soft bowl that snaps at the given force.
 
-    Missing options come from the switch table of the design.
+    Missing options come from the switch table of the design. With --family it compares families of
+    switches by the spread of their threshold; builds make bowls.
     """
     from phytac_design.design.design_file import load_design
     from phytac_design.mechanics.switch.design import design_switch
+    from phytac_design.mechanics.switch.family_spread import FamilyTolerance
     from phytac_design.mechanics.switch.line_plot import check_svg, write_svg
+    from phytac_design.mechanics.switch.rubbers import RUBBERS
     from phytac_design.mechanics.switch.switch_inputs import chosen_rubber, rubber_of, space_of
     from phytac_design.mechanics.switch.switch_report import (
         curve_plot,
@@ -56,18 +72,31 @@ def switch(
         check_svg(plot)
     loaded = load_design(design)
     own = loaded.switch
-    if material is None and modulus is None and test is None:
-        chosen = rubber_of(loaded)
-    else:
+    given = not (material is None and modulus is None and test is None)
+    if given:
         chosen = chosen_rubber(material or own.material, modulus_MPa=modulus, test=test, law=law)
+    else:
+        chosen = rubber_of(loaded)
+    asked = own.threshold_N if threshold is None else threshold
+    thickness = own.wall_tolerance_mm if tolerance is None else tolerance
+    if family is not None:
+        rest = [] if given else [item for item in RUBBERS.values() if item.name != chosen.name]
+        _compare(
+            loaded,
+            family,
+            asked,
+            [chosen, *rest],
+            space_of(loaded, wall_min_mm=wall_min),
+            FamilyTolerance(thickness_mm=thickness, modulus=own.modulus_tolerance),
+            plot=plot,
+            as_json=as_json,
+        )
+        return
     made = design_switch(
-        own.threshold_N if threshold is None else threshold,
+        asked,
         chosen,
         space_of(loaded, wall_min_mm=wall_min),
-        Tolerance(
-            thickness_mm=own.wall_tolerance_mm if tolerance is None else tolerance,
-            modulus=own.modulus_tolerance,
-        ),
+        Tolerance(thickness_mm=thickness, modulus=own.modulus_tolerance),
     )
     if plot:
         say(f"wrote {write_svg(plot, curve_plot(made))}")
@@ -83,3 +112,64 @@ def switch(
     for warning in minded:
         say(f"warning: {warning}")
     typer.echo(switch_text(made))
+
+
+def _compare(
+    loaded: "Design",
+    family: str,
+    threshold_N: float,
+    rubbers: "list[Rubber]",
+    space: "SwitchSpace",
+    tolerance: "FamilyTolerance",
+    *,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    """Families of one or more rubbers, smallest spread first."""
+    from phytac_design.layout.sensor import Sensor
+    from phytac_design.mechanics.switch.family_report import (
+        candidate_dict,
+        candidate_plot,
+        candidates_text,
+    )
+    from phytac_design.mechanics.switch.line_plot import write_svg
+    from phytac_design.mechanics.switch.switch_families import FAMILIES, compare_families
+    from phytac_design.optics.tip_travel import tip_travel_on_mm
+    from phytac_shapes.errors import DesignError, InputError
+
+    chosen = [name for name in FAMILIES if family in {name, "auto"}]
+    if not chosen:
+        raise InputError(
+            "switch-family-unknown",
+            f"no family {family!r} of switches; take auto, {', '.join(FAMILIES)}",
+        )
+    found = compare_families(
+        threshold_N,
+        rubbers,
+        space,
+        tip_travel_on_mm(Sensor(loaded)),
+        families=chosen,
+        tolerance=tolerance,
+        progress=say,
+    )
+    best = found[0]
+    if best.design is None:
+        raise DesignError(
+            "switch-infeasible",
+            f"no switch of {threshold_N:g} N fits: "
+            + "; ".join(f"{one.family} of {one.rubber.name}: {one.reason}" for one in found),
+        )
+    if plot:
+        say(f"wrote {write_svg(plot, candidate_plot(best))}")
+    if as_json:
+        print_json(
+            {
+                "design": loaded.name,
+                "threshold_N": threshold_N,
+                "tolerance": dict(vars(tolerance)),
+                "recommended": {"family": best.family, "rubber": best.rubber.name},
+                "candidates": [candidate_dict(one) for one in found],
+            }
+        )
+        return
+    typer.echo(candidates_text(found, threshold_N=threshold_N))

@@ -87,13 +87,28 @@ def design_switch(
     DesignError
         If none fits; it says which thresholds do, and which moduli would.
     """
+    made, reasons = find_bowl(threshold_N, rubber, space, tolerance)
+    if made is None:
+        raise DesignError("switch-infeasible", _refusal(threshold_N, rubber, space, reasons))
+    return made
+
+
+def check_threshold(threshold_N: float) -> None:
+    """Raise a DesignError for a threshold that is no positive number."""
     if not (np.isfinite(threshold_N) and threshold_N > 0.0):
         raise DesignError(
             "threshold-not-positive",
             f"a switch's threshold must be a positive number of newtons (got {threshold_N:g}); "
             "0.5 is the published one",
         )
-    reasons = []
+
+
+def find_bowl(
+    threshold_N: float, rubber: Rubber, space: SwitchSpace, tolerance: Tolerance | None = None
+) -> tuple[SwitchDesign | None, list[str]]:
+    """Bowl as by :func:`design_switch` or None, and why the bowls that were tried do not fit."""
+    check_threshold(threshold_N)
+    reasons: list[str] = []
     for fillet in fillets(space):
         try:
             curve = _curve_of(threshold_N, rubber, space, fillet)
@@ -115,7 +130,7 @@ def design_switch(
             threshold_N=snap.limit_N,
             hole_diameter_mm=space.hole_diameter_mm,
         )
-        return SwitchDesign(
+        made = SwitchDesign(
             threshold_N=threshold_N,
             bowl=bowl,
             rubber=rubber,
@@ -126,7 +141,8 @@ def design_switch(
             spread=spread,
             tolerance=band,
         )
-    raise DesignError("switch-infeasible", _refusal(threshold_N, rubber, space, reasons))
+        return made, reasons
+    return None, reasons
 
 
 def _curve_of(
@@ -158,6 +174,13 @@ def _curve_of(
         depth += short + 0.02
 
 
+def wall_guess_mm(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> float:
+    """Wall by F ≈ 1.2 E a² (t/a)^2.2, measured on such bowls."""
+    half = 0.5 * space.diameter_mm
+    unit = 1.2 * rubber.material.modulus_MPa * half**2
+    return float(half * (threshold_N / unit) ** (1.0 / WALL_EXPONENT))
+
+
 def _wall(
     threshold_N: float,
     rubber: Rubber,
@@ -183,9 +206,7 @@ def _wall(
         # A wall too thick to snap counts as far too strong.
         return 0.5 if found is None else float(np.log(found / threshold_N))
 
-    # F ≈ 1.2 E a² (t/a)^2.2.
-    unit = 1.2 * rubber.material.modulus_MPa * half**2
-    start = guess_mm or half * (threshold_N / unit) ** (1.0 / WALL_EXPONENT)
+    start = guess_mm or wall_guess_mm(threshold_N, rubber, space)
     bounds = (np.log(0.03 * half), np.log(limit_wall))
     x = float(np.clip(np.log(start), *bounds))
     if not guess_mm:

@@ -1,8 +1,14 @@
-"""Rubbers of switches, each with what is assumed about it."""
+"""Rubbers of switches, each with what is assumed about it.
+
+Ten castable rubbers are fitted to tensile tests of the Soft Robotics Materials Database (L.
+Marechal et al., Soft Robotics 2020, doi 10.1089/soro.2019.0115; Open Database License 1.0): Yeoh's
+law by least squares without negative constants, which keeps it stable, on nominal stress up to
+100 % strain.
+"""
 
 from dataclasses import dataclass, replace
 
-from phytac_design.mechanics.switch.hyperelastic import Material, neo_hookean
+from phytac_design.mechanics.switch.hyperelastic import Material, Yeoh, bulk_of, neo_hookean
 from phytac_shapes.errors import DesignError
 
 
@@ -44,6 +50,35 @@ class Rubber:
         )
 
 
+def _measured(name: str, constants_MPa: tuple[float, ...], error: float) -> Rubber:
+    """Rubber of the database; ``error`` is the fit's, relative, root mean square."""
+    return Rubber(
+        name=name,
+        material=Yeoh(
+            coefficients_MPa=constants_MPa, bulk_MPa=bulk_of(2.0 * constants_MPa[0], 0.49)
+        ),
+        strain_max=1.0,
+        assumption=(
+            f"{name}: Yeoh fitted up to 100 % strain to one published tensile test, {error:.1%} "
+            "off (first pull at 450 mm/min, strain from the crosshead; creep is not in it); "
+            "Poisson's ratio 0.49 and 100 % strain are assumed"
+        ),
+    )
+
+
+_MEASURED = [
+    _measured("ecoflex-00-30", (0.007504, 0.000238, 0.0), 0.022),
+    _measured("ecoflex-00-50", (0.01029, 0.0003825, 0.0), 0.027),
+    _measured("dragon-skin-10", (0.02185, 0.002753, 0.0), 0.018),
+    _measured("mold-star-16", (0.04121, 0.002988, 0.0), 0.008),
+    _measured("rebound-25", (0.04869, 0.004435, 0.0), 0.008),
+    _measured("mold-star-20t", (0.05445, 0.003478, 0.0), 0.024),
+    _measured("dragon-skin-20", (0.06117, 0.007956, 0.0), 0.023),
+    _measured("dragon-skin-30", (0.09041, 0.009082, 0.0), 0.011),
+    _measured("sortaclear-40", (0.1391, 0.005253, 8.736e-5), 0.003),
+    _measured("rtv615", (0.1658, 0.01284, 9.442e-4), 0.004),
+]
+
 RUBBERS = {
     "tpu-8400n": Rubber(
         name="tpu-8400n",
@@ -63,7 +98,7 @@ RUBBERS = {
             "ratio 0.49 and 150 % strain are assumed"
         ),
     ),
-}
+} | {item.name: item for item in _MEASURED}
 
 
 def rubber(name: str) -> Rubber:
