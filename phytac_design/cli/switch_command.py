@@ -10,8 +10,10 @@ from phytac_design.cli.output import print_json
 
 if TYPE_CHECKING:
     from phytac_design.design.spec import Design
+    from phytac_design.layout.sensor import Sensor
     from phytac_design.mechanics.switch.family_spread import FamilyTolerance
     from phytac_design.mechanics.switch.rubbers import Rubber
+    from phytac_design.mechanics.switch.switch_families import FamilyCandidate
     from phytac_design.mechanics.switch.switch_space import SwitchSpace
 
 
@@ -46,6 +48,12 @@ def switch(
             "given. Minutes; smallest spread of the threshold first."
         ),
     ] = None,
+    molds: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --family: folder for the recommended membrane's or plunger's molds."
+        ),
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Force–stroke curve to write, SVG.")] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -67,6 +75,7 @@ def switch(
         warnings,
     )
     from phytac_design.mechanics.switch.switch_space import Tolerance
+    from phytac_shapes.errors import InputError
 
     if plot:
         check_svg(plot)
@@ -89,9 +98,16 @@ def switch(
             space_of(loaded, wall_min_mm=wall_min),
             FamilyTolerance(thickness_mm=thickness, modulus=own.modulus_tolerance),
             plot=plot,
+            molds=molds,
             as_json=as_json,
         )
         return
+    if molds:
+        raise InputError(
+            "switch-molds-without-family",
+            "--molds writes those of a membrane or plunger: give --family; phytac build --only "
+            "mold writes those of the bowls",
+        )
     made = design_switch(
         asked,
         chosen,
@@ -123,6 +139,7 @@ def _compare(
     tolerance: "FamilyTolerance",
     *,
     plot: Path | None,
+    molds: Path | None,
     as_json: bool,
 ) -> None:
     """Families of one or more rubbers, smallest spread first."""
@@ -143,11 +160,18 @@ def _compare(
             "switch-family-unknown",
             f"no family {family!r} of switches; take auto, {', '.join(FAMILIES)}",
         )
+    if molds and loaded.switch.regions:
+        raise InputError(
+            "switch-molds-of-regions",
+            "--molds writes switches of one threshold, and the design has regions with others; "
+            "take [[switch.regions]] out of a copy of the design",
+        )
+    sensor = Sensor(loaded)
     found = compare_families(
         threshold_N,
         rubbers,
         space,
-        tip_travel_on_mm(Sensor(loaded)),
+        tip_travel_on_mm(sensor),
         families=chosen,
         tolerance=tolerance,
         progress=say,
@@ -161,6 +185,8 @@ def _compare(
         )
     if plot:
         say(f"wrote {write_svg(plot, candidate_plot(best))}")
+    if molds:
+        _write_molds(molds, sensor, best)
     if as_json:
         print_json(
             {
@@ -173,3 +199,40 @@ def _compare(
         )
         return
     typer.echo(candidates_text(found, threshold_N=threshold_N))
+
+
+def _write_molds(folder: Path, sensor: "Sensor", best: "FamilyCandidate") -> None:
+    """Checked molds of the recommended membrane or plunger, one cavity for each receptor."""
+    import numpy as np
+
+    from phytac_design.fabrication.molds.make import make_molds
+    from phytac_design.fabrication.molds.mold_files import mold_files
+    from phytac_design.fabrication.molds.rules import rule_rows
+    from phytac_design.fabrication.switch_set import CupOutline, arrange_switches
+    from phytac_design.mechanics.switch.cup_design import CupDesign
+    from phytac_shapes.errors import InputError
+
+    made, design = best.design, sensor.design
+    if not isinstance(made, CupDesign):
+        raise InputError(
+            "switch-molds-of-bowl",
+            "the recommended switch is a bowl: phytac build --only mold writes its molds; or give "
+            "--family plunger",
+        )
+    outline = CupOutline(
+        cup=made.cup, stop_mm=made.stop_mm, stem_diameter_mm=made.space.stem_diameter_mm
+    )
+    asked = np.full(sensor.markers.count, made.threshold_N)
+    switches = arrange_switches(sensor, [outline], [made.threshold_N], asked)
+    sets = make_molds(design.mold, design.print_rules, switches, tolerance_mm=0.02)
+    for file, data in mold_files(sets, switches, progress=say).contents.items():
+        path = folder / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+        say(f"wrote {path}")
+    for row in rule_rows(sets[0].sizes):
+        if not row["holds"]:
+            say(
+                f"warning: {row['detail']}: {row['got_mm']:.3g} mm, the printer needs "
+                f"{row['needed_mm']:.3g} mm"
+            )

@@ -14,10 +14,35 @@ import numpy as np
 from phytac_design.geometry.triangles import TriangleMesh, sides_for, widening
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.bowl import Bowl, walls
+from phytac_design.mechanics.switch.soft_cup import SoftCup
 from phytac_shapes.arrays import FloatArray, IntArray
 
 LENGTH_STEP_mm = 0.1
 """Stems are made in steps of this, well below what printers and glue repeat."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CupOutline:
+    """A membrane or plunger with its stem.
+
+    Attributes
+    ----------
+    cup : SoftCup
+        Side wall, roof and boss.
+    stop_mm : float
+        Height over the shell's face at which the stem's wide part, the stop, ends.
+    stem_diameter_mm : float
+        Diameter of the stem below.
+    """
+
+    cup: SoftCup
+    stop_mm: float
+    stem_diameter_mm: float
+
+    @property
+    def diameter_mm(self) -> float:
+        """Outer diameter on the shell's face."""
+        return self.cup.diameter_mm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,12 +51,12 @@ class SwitchSet:
 
     Attributes
     ----------
-    bowls : tuple of Bowl
+    bowls : tuple of Bowl or CupOutline
         One for each threshold.
     threshold_N : (b,) float
         Their thresholds.
     tip_diameter_mm : float
-        Diameter of every stem's end; towards the bowl it grows to ``bowl.stem_diameter_mm``.
+        Diameter of every stem's end; towards the bowl it grows to its ``stem_diameter_mm``.
     bowl : (n,) int
         Bowl of each marker.
     reach_mm : (n,) float
@@ -44,7 +69,7 @@ class SwitchSet:
         Row of each marker, where every row has one length of its own.
     """
 
-    bowls: tuple[Bowl, ...]
+    bowls: tuple["Bowl | CupOutline", ...]
     threshold_N: FloatArray
     tip_diameter_mm: float
     bowl: IntArray
@@ -72,12 +97,10 @@ class SwitchSet:
 
     def profile(self, kind: tuple[int, int], tolerance_mm: float = 0.01) -> FloatArray:
         """Half section (k, 2) of a switch as (r, z), from the pad's middle around to the tip's."""
-        return switch_profile(
-            self.bowls[kind[0]],
-            float(self.lengths_mm[kind[1]]),
-            self.tip_diameter_mm,
-            tolerance_mm=tolerance_mm,
-        )
+        shape, reach = self.bowls[kind[0]], float(self.lengths_mm[kind[1]])
+        if isinstance(shape, CupOutline):
+            return cup_profile(shape, reach, self.tip_diameter_mm)
+        return switch_profile(shape, reach, self.tip_diameter_mm, tolerance_mm=tolerance_mm)
 
 
 def reach_mm(sensor: Sensor) -> FloatArray:
@@ -99,15 +122,26 @@ def make_switches(
     threshold_N : (n,) float
         Threshold of each marker's switch.
     """
+    bowls = [Bowl(**item["bowl"]) for item in made]
+    return arrange_switches(sensor, bowls, [item["threshold_N"] for item in made], threshold_N)
+
+
+def arrange_switches(
+    sensor: Sensor,
+    shapes: Sequence[Bowl | CupOutline],
+    known_N: Sequence[float],
+    threshold_N: FloatArray,
+) -> SwitchSet:
+    """Set of switches: each marker gets the shape whose threshold is nearest to its own."""
     design, markers = sensor.design, sensor.markers
-    known = np.array([item["threshold_N"] for item in made])
+    known = np.array(known_N)
     reach = reach_mm(sensor)
     steps = np.round(reach / LENGTH_STEP_mm).astype(np.int64)
     lengths, length = np.unique(steps, return_inverse=True)
     pairs = np.unique(np.stack([markers.row, length]), axis=1)
     one_to_one = markers.in_rows and pairs.shape[1] == len(lengths) == len(np.unique(pairs[0]))
     return SwitchSet(
-        bowls=tuple(Bowl(**item["bowl"]) for item in made),
+        bowls=tuple(shapes),
         threshold_N=known,
         tip_diameter_mm=design.switch.tip_diameter_mm,
         bowl=np.abs(threshold_N[:, None] - known).argmin(axis=1),
@@ -138,6 +172,36 @@ def switch_profile(
     pieces.insert(0, np.array([[0.0, over[0, 1]]]))
     tip = [[0.5 * tip_diameter_mm, -reach], [0.0, -reach]]
     return np.concatenate([*pieces, np.array(tip)])
+
+
+def cup_profile(outline: CupOutline, reach: float, tip_diameter_mm: float) -> FloatArray:
+    """Half section (k, 2) of a membrane or plunger, (r, z) mm, as :func:`switch_profile` has it.
+
+    Boss and stop lean by the draft of the side wall, as they leave the mold.
+    """
+    cup = outline.cup
+    slope = float(np.tan(np.radians(cup.draft_deg)))
+    rho, high, roof = cup.fillet_mm, cup.height_mm, cup.height_mm + cup.roof_mm
+    outer, hub = 0.5 * cup.diameter_mm, 0.5 * cup.hub_diameter_mm
+    inner = outer - cup.side_mm
+    over: list[Any] = [[[0.0, cup.top_mm]]]
+    if cup.boss_mm:
+        foot = np.array([hub + slope * (cup.boss_mm - rho) + rho, roof + rho])
+        over += [[[hub, cup.top_mm]], _fillet(foot, rho, 180.0, 270.0)]
+    over += [[[outer - slope * roof, roof], [outer, 0.0]]]
+    turn = np.array([inner - slope * (high - rho) - rho, high - rho])
+    under: list[Any] = [[[inner, 0.0]], _fillet(turn, rho, 0.0, 90.0)]
+    if outline.stop_mm < high - rho:
+        root = np.array([hub + slope * (high - rho - outline.stop_mm) + rho, high - rho])
+        under += [_fillet(root, rho, 90.0, 180.0), [[hub, outline.stop_mm]]]
+    tip = 0.5 * tip_diameter_mm
+    stem = [[0.5 * outline.stem_diameter_mm, outline.stop_mm], [tip, -reach], [0.0, -reach]]
+    return np.concatenate([*over, *under, stem])
+
+
+def _fillet(centre: FloatArray, radius: float, start_deg: float, end_deg: float) -> FloatArray:
+    angle = np.radians(np.linspace(start_deg, end_deg, 25))
+    return np.asarray(centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
 
 def _thinned(line: FloatArray, tolerance_mm: float) -> FloatArray:

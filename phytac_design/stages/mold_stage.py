@@ -3,19 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
-from phytac_design.fabrication.bill import bill_part, csv_text
-from phytac_design.fabrication.molds.audit import (
-    audit_facts,
-    audit_set,
-    check_mold,
-    fine_sections,
-    volumes_mm3,
-)
-from phytac_design.fabrication.molds.make import MoldSet, make_molds
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.fabrication.bill import bill_part
+from phytac_design.fabrication.molds.make import make_molds
+from phytac_design.fabrication.molds.mold_files import mold_files
 from phytac_design.fabrication.molds.rules import rule_rows
-from phytac_design.fabrication.switch_set import SwitchSet
-from phytac_design.solids.mesh_export import stl_bytes
 from phytac_design.stages.switch_stage import switches_of, without_switches
 
 
@@ -31,19 +23,10 @@ def run(context: Context, folder: Path) -> None:
         switches,
         tolerance_mm=context.accuracy.cad_tolerance_mm,
     )
-    fine = fine_sections(switches)
-    sets, poured, files = [], [], {}
-    for each in made:
-        context.progress(f"mold: set {each.plan.number} of {each.plan.total}")
-        audit = audit_set(each, fine)
-        check_mold(each, audit)
-        sets.append(audit_facts(each, audit))
-        poured.append(volumes_mm3(each, audit, fine))
-        for name in each.parts:
-            files[f"mold/{name}_{each.plan.number}.stl"] = stl_bytes(each.printed(name))
-    for file, data in files.items():
+    written = mold_files(made, switches, progress=context.progress)
+    sets, poured = written.sets, written.poured_mm3
+    for file, data in written.contents.items():
         export_path(folder, file).write_bytes(data)
-    write_text(folder, "mold/cavities.csv", _table(made, switches))
     total = {key: sum(each[key] for each in poured) for key in poured[0]}
     plates = [plate for each in sets for plate in each["plates"].values()]
     write_facts(
@@ -64,25 +47,6 @@ def run(context: Context, folder: Path) -> None:
             "parts": _parts(sets, poured),
         },
     )
-
-
-def _table(made: list[MoldSet], switches: SwitchSet) -> str:
-    """CSV of the cavities of each kind of switch."""
-    rows = [
-        [
-            each.plan.number,
-            item.line + 1,
-            item.start + 1,
-            item.count,
-            each.sizes.labels[item.kind],
-            f"{switches.lengths_mm[item.kind[1]]:.1f}",
-            f"{switches.threshold_N[item.kind[0]]:g}",
-        ]
-        for each in made
-        for item in each.plan.runs
-    ]
-    columns = ("set", "line", "first", "count", "label", "length_mm", "threshold_N")
-    return csv_text(columns, rows)
 
 
 def _parts(sets: list[dict[str, Any]], poured: list[dict[str, float]]) -> list[dict[str, Any]]:

@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,13 @@ from typer.testing import CliRunner
 
 from phytac_design.cli.switch_command import switch
 from phytac_design.design.design_file import to_toml
+from phytac_design.fabrication.molds import mold_files
+from phytac_design.fabrication.molds.make import MoldSet
+from phytac_design.fabrication.molds.mold_files import MoldFiles
+from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout.sensor import Sensor
-from phytac_design.mechanics.switch import bowl_check, cup_design, switch_families
+from phytac_design.mechanics.switch import cup_design, switch_families
+from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.cup_design import CupDesign, cup_spread, design_cup
 from phytac_design.mechanics.switch.cup_press import press_cup
 from phytac_design.mechanics.switch.family_spread import FamilyTolerance, spread_of
@@ -222,17 +228,19 @@ def test_comparison_puts_the_smallest_spread_first(
         compare_families(0.5, [soft], SPACE, np.array([np.nan]))
 
 
-@pytest.mark.usefixtures("coarse_switches")
 def test_bowl_beside_them_has_its_own_band(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[:1])
+    bowl = Bowl(diameter_mm=4.6, depth_mm=1.77, thickness_mm=0.217, fillet_mm=0.24)
+    known = SimpleNamespace(bowl=bowl, snap=SimpleNamespace(limit_N=0.5, valley_N=0.31, strain=0.5))
+    monkeypatch.setattr(switch_families, "find_bowl", lambda *_: (known, []))
     found = compare_families(
         0.5, [rubber("tpu-8400n")], SPACE, np.array([TRAVEL_mm]), families=["bowl"]
     )
     spread = found[0].spread
     assert spread
     assert spread.height == 0.0
+    # Its threshold grows as wall^2.3 (test_switch_design).
+    assert spread.thickness == pytest.approx(2.3 * 0.05 / 0.217, rel=0.05)
     assert spread.band > 0.4
-    assert found[0].release_N < 0.5
 
 
 def test_command_compares(made: CupDesign, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -244,7 +252,8 @@ def test_command_compares(made: CupDesign, monkeypatch: pytest.MonkeyPatch, tmp_
     def one(family: str, *_: object, **__: object) -> CupDesign:
         if family == "membrane":
             raise DesignError("switch-infeasible", "no web")
-        return made
+        # Without a tapered stem no mold releases.
+        return replace(made, space=replace(made.space, stem_diameter_mm=1.45))
 
     monkeypatch.setattr(switch_families, "design_cup", one)
     monkeypatch.setattr(tip_travel, "tip_travel_on_mm", lambda _: np.array([TRAVEL_mm]))
@@ -260,8 +269,23 @@ def test_command_compares(made: CupDesign, monkeypatch: pytest.MonkeyPatch, tmp_
     )
     assert [one["fits"] for one in plain["candidates"]] == [True, False, False]
     assert (tmp_path / "a.svg").read_text().startswith("<")
-    text = CliRunner().invoke(app, words).stdout
+
+    def files(made: list[MoldSet], switches: SwitchSet, **_: object) -> MoldFiles:
+        count = sum(each.plan.cavities for each in made)
+        text = f"{count} {switches.threshold_N[0]:g}"
+        return MoldFiles(contents={"mold/cavities.csv": text.encode()})
+
+    # Their content is tested with the molds.
+    monkeypatch.setattr(mold_files, "mold_files", files)
+    run = CliRunner().invoke(app, [*words, "--molds", str(tmp_path / "out")])
+    assert run.exit_code == 0, run.output
+    cavities, threshold = (tmp_path / "out" / "mold" / "cavities.csv").read_text().split()
+    assert int(cavities) >= Sensor(small()).markers.count
+    assert threshold == "0.5"
+    text = run.stdout
     assert "recommended: plunger of dragon-skin-20" in text
     assert "no web" in text
+    bare = CliRunner().invoke(app, [words[0], "--molds", str(tmp_path)])
+    assert getattr(bare.exception, "code", "") == "switch-molds-without-family"
     wrong = CliRunner().invoke(app, [*words[:2], "spring"])
     assert getattr(wrong.exception, "code", "") == "switch-family-unknown"

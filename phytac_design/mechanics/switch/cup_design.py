@@ -25,9 +25,11 @@ class CupRules:
     """Width of the ring of a plunger's stem that lands on the shell around the hole: the stop."""
     hub_land: float = 0.1
     """The same of a membrane's hub: a narrow one leaves more roof."""
+    lean: float = 1.02
+    """Slope of side walls over the mold's draft: the flats of its polygons lean less."""
     gap: float = 0.4
     """Least gap between stop and side wall of a plunger: the mold's core fills it."""
-    plunger_heights: tuple[float, ...] = (2.5, 3.0, 3.5)
+    plunger_heights: tuple[float, ...] = (2.5, 2.75, 3.0, 3.25, 3.5)
     """Inner heights of plungers, in strokes."""
     plunger_roof: float = 0.8
     """Roof of a plunger; its side wall does the work."""
@@ -274,9 +276,9 @@ def _sections(
         "diameter_mm": space.diameter_mm,
         "hub_diameter_mm": hub,
         "fillet_mm": RULES.plunger_fillet if plunger else RULES.membrane_fillet,
-        "draft_deg": space.draft_deg,
+        "draft_deg": RULES.lean * space.draft_deg,
     }
-    slope = float(np.tan(np.radians(space.draft_deg)))
+    slope = float(np.tan(np.radians(RULES.lean * space.draft_deg)))
     if plunger:
         for share in RULES.plunger_heights:
             high = share * space.stroke_mm

@@ -1,0 +1,79 @@
+"""STL files and the table of cavities of a set of molds, each mold checked before."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from phytac_design.fabrication.bill import csv_text
+from phytac_design.fabrication.molds.audit import (
+    audit_facts,
+    audit_set,
+    check_mold,
+    fine_sections,
+    volumes_mm3,
+)
+from phytac_design.fabrication.molds.make import MoldSet
+from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.solids.mesh_export import stl_bytes
+
+
+@dataclass(kw_only=True)
+class MoldFiles:
+    """Files of molds that passed their checks.
+
+    Attributes
+    ----------
+    contents : dict of str to bytes
+        Path within a build to content.
+    sets : list of dict
+        Measurements of each set.
+    poured_mm3 : list of dict
+        Rubber and silicone of one casting of each.
+    """
+
+    contents: dict[str, bytes] = field(default_factory=dict)
+    sets: list[dict[str, Any]] = field(default_factory=list)
+    poured_mm3: list[dict[str, float]] = field(default_factory=list)
+
+
+def mold_files(
+    made: list[MoldSet], switches: SwitchSet, *, progress: Callable[[str], None]
+) -> MoldFiles:
+    """Check molds and make their files: ``mold/*.stl`` and ``mold/cavities.csv``.
+
+    Raises
+    ------
+    NumericalError
+        If a mold does not release or close, or holds the wrong shape.
+    """
+    fine, out = fine_sections(switches), MoldFiles()
+    for each in made:
+        progress(f"mold: set {each.plan.number} of {each.plan.total}")
+        audit = audit_set(each, fine)
+        check_mold(each, audit)
+        out.sets.append(audit_facts(each, audit))
+        out.poured_mm3.append(volumes_mm3(each, audit, fine))
+        for name in each.parts:
+            file = f"mold/{name}_{each.plan.number}.stl"
+            out.contents[file] = stl_bytes(each.printed(name))
+    out.contents["mold/cavities.csv"] = _table(made, switches).encode()
+    return out
+
+
+def _table(made: list[MoldSet], switches: SwitchSet) -> str:
+    """CSV of the cavities of each kind of switch."""
+    rows = [
+        [
+            each.plan.number,
+            item.line + 1,
+            item.start + 1,
+            item.count,
+            each.sizes.labels[item.kind],
+            f"{switches.lengths_mm[item.kind[1]]:.1f}",
+            f"{switches.threshold_N[item.kind[0]]:g}",
+        ]
+        for each in made
+        for item in each.plan.runs
+    ]
+    columns = ("set", "line", "first", "count", "label", "length_mm", "threshold_N")
+    return csv_text(columns, rows)
