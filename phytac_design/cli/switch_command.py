@@ -178,10 +178,12 @@ def _compare(
     )
     best = found[0]
     if best.design is None:
+        say(candidates_text(found, threshold_N=threshold_N))
         raise DesignError(
             "switch-infeasible",
-            f"no switch of {threshold_N:g} N fits: "
-            + "; ".join(f"{one.family} of {one.rubber.name}: {one.reason}" for one in found),
+            f"no switch of {threshold_N:g} N fits {space.diameter_mm:.3g} mm (families: "
+            f"{', '.join(chosen)}; rubbers: {len(rubbers)}; each reason is above); take another "
+            "rubber or threshold, or raise switch.footprint_diameter_mm",
         )
     if plot:
         say(f"wrote {write_svg(plot, candidate_plot(best))}")

@@ -285,6 +285,9 @@ def test_command_compares(made: CupDesign, monkeypatch: pytest.MonkeyPatch, tmp_
     text = run.stdout
     assert "recommended: plunger of dragon-skin-20" in text
     assert "no web" in text
+    none = CliRunner().invoke(app, [*words[:2], "membrane", *words[3:]])
+    assert getattr(none.exception, "code", "") == "switch-infeasible"
+    assert "no web" in none.output
     bare = CliRunner().invoke(app, [words[0], "--molds", str(tmp_path)])
     assert getattr(bare.exception, "code", "") == "switch-molds-without-family"
     wrong = CliRunner().invoke(app, [*words[:2], "spring"])
