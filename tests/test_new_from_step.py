@@ -68,6 +68,17 @@ def test_the_command_writes_a_design(step: Path, tmp_path: Path) -> None:
     assert (design.layout.rows, design.layout.columns) == (13, 10)
 
 
+def test_a_face_that_is_inside_out_is_turned(step: Path, tmp_path: Path) -> None:
+    other = tmp_path / "reversed.step"
+    face = cq.importers.importStep(str(step)).faces().val()
+    cq.exporters.export(cq.Workplane(cq.Face(face.wrapped.Reversed())), str(other))
+    there, back = (patch_changes(path)[0]["shape"]["points_mm"] for path in (step, other))
+    places = [
+        {tuple(np.round(point, 4)) for row in grid for point in row} for grid in (there, back)
+    ]
+    assert places[0] == places[1]
+
+
 def test_bad_files_get_one_error(step: Path, tmp_path: Path) -> None:
     with refused("file-unreadable"):
         patch_changes(tmp_path / "nowhere.step")
@@ -81,6 +92,11 @@ def test_bad_files_get_one_error(step: Path, tmp_path: Path) -> None:
     caught.match(r"x\.step")
     with refused("step-face-number"):
         patch_changes(step, face=3)
+    upright = cq.Workplane("XZ").rect(80.0, 60.0).extrude(1.0).faces("<Y")
+    cq.exporters.export(upright, str(other))
+    with refused("step-face-aside") as caught:
+        patch_changes(other)
+    caught.match(r"faces aside \(its mean normal is -?0.00, -?1.00, -?0.00\)")
     holed = cq.Workplane().box(80.0, 60.0, 5.0).faces(">Z").workplane().hole(10.0)
     cq.exporters.export(holed, str(other))
     with refused("step-face-trimmed"):

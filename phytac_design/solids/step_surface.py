@@ -138,7 +138,7 @@ def read_surface(path: Path, rows: int, columns: int, face: int | None) -> Float
                 "sides: cut the face, or use a shape of its kind (cylinder, cone, hemisphere, "
                 "grip)",
             )
-    return _outward(points)
+    return _outward(points, path)
 
 
 def _face(path: Path, number: int | None) -> Any:
@@ -189,9 +189,21 @@ def _point(surface: Any, u: float, v: float) -> tuple[float, float, float]:
     return point.X(), point.Y(), point.Z()
 
 
-def _outward(points: FloatArray) -> FloatArray:
-    """Return the grid with its rows reversed if need be, so that it faces +z."""
+def _outward(points: FloatArray, path: Path) -> FloatArray:
+    """Return the grid with its rows reversed if need be, so that it faces +z.
+
+    Which side a face counts as its outer one differs between CAD programs.
+    """
+    facing_min = 0.1  # mean normal along z; below it no side is the outer one
     along = np.diff(points, axis=0)[:, :-1]
     around = np.diff(points, axis=1)[:-1]
-    facing = float(np.cross(around, along)[..., 2].sum())
-    return points if facing > 0.0 else points[::-1].copy()
+    across = np.cross(around, along)
+    x, y, z = across.sum(axis=(0, 1)) / np.linalg.norm(across, axis=2).sum()
+    if not abs(z) > facing_min:
+        raise InputError(
+            "step-face-aside",
+            f"the face of {path} faces aside (its mean normal is {x:.2f}, {y:.2f}, {z:.2f}): the "
+            "camera looks along +z at the inner side of a face, so it must face +z; turn the "
+            "part, or choose another face (--face)",
+        )
+    return points if z > 0.0 else points[::-1].copy()
