@@ -47,7 +47,7 @@ class CupOutline:
 
 @dataclass(frozen=True, kw_only=True)
 class SwitchSet:
-    """Switches of one sensor.
+    """Switches of one sensor; of one without switches all arrays are empty.
 
     Attributes
     ----------
@@ -122,6 +122,18 @@ def make_switches(
     threshold_N : (n,) float
         Threshold of each marker's switch.
     """
+    if not sensor.design.has_switches:
+        none, ids = np.zeros(0), np.zeros(0, dtype=np.int64)
+        return SwitchSet(
+            bowls=(),
+            threshold_N=none,
+            tip_diameter_mm=sensor.design.switch.tip_diameter_mm,
+            bowl=ids,
+            reach_mm=none,
+            length=ids,
+            lengths_mm=none,
+            row=None,
+        )
     bowls = [Bowl(**item["bowl"]) for item in made]
     return arrange_switches(sensor, bowls, [item["threshold_N"] for item in made], threshold_N)
 

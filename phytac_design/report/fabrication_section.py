@@ -126,7 +126,12 @@ def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
         "shell/print_report.svg": "print report",
         "kit/README.md": "calibration kit",
     }
-    documents = ", ".join(f'<a href="../{path}">{name}</a>' for path, name in files.items())
+    stages = {"bench": "bench", "shell": "printing", "kit": "kit"}
+    documents = ", ".join(
+        f'<a href="../{path}">{name}</a>'
+        for path, name in files.items()
+        if (context.folders[stages[path.partition("/")[0]]] / EXPORT / path).is_file()
+    )
     joints = [
         (item["joint"], item["screw"], item["count"], item["head_part"], item["thread_part"])
         for item in facts["screws"]

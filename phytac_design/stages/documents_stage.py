@@ -26,7 +26,7 @@ from phytac_design.stages.switch_stage import switches_of, without_switches
 
 def run(context: Context, folder: Path) -> None:
     """Write ``bench/…`` and the facts: map, bill, recipe."""
-    if without_switches(context, folder):
+    if without_switches(context, folder, needed=False):
         return
     design, markers = context.design, context.markers
     switches = switches_of(context)
@@ -37,8 +37,9 @@ def run(context: Context, folder: Path) -> None:
     pages = paper_pages(drawn)
     data = pdf(pages, title=f"{design.name}: paint map")
     export_path(folder, "bench/paint_map.pdf").write_bytes(data)
-    placement = placement_csv(context.surface, markers, switches, drawn)
-    write_text(folder, "bench/switch_placement.csv", placement)
+    if switches.kinds:
+        placement = placement_csv(context.surface, markers, switches, drawn)
+        write_text(folder, "bench/switch_placement.csv", placement)
     if context.sensor.reference_marks.count:
         marks = marks_csv(context.sensor, drawn)
         write_text(folder, "bench/reference_marks.csv", marks)
@@ -54,18 +55,21 @@ def run(context: Context, folder: Path) -> None:
         ]
     )
     write_text(folder, "bench/bill_of_materials.csv", bill.bill_csv(rows))
-    recipe = make_recipe(design, rubber_mm3(rows), _volume_mm3(rows, "silicone"))
-    write_text(folder, "bench/casting.md", recipe_text(design, recipe))
+    recipe = None
+    if switches.kinds:
+        recipe = make_recipe(design, rubber_mm3(rows), _volume_mm3(rows, "silicone"))
+        write_text(folder, "bench/casting.md", recipe_text(design, recipe))
     context.progress("bench: assembly sheet")
     sheet = assembly_html(
         design,
         switches,
         recipe,
+        count=markers.count,
         bill=rows,
-        steps=recipe_steps(design, recipe),
+        steps=recipe_steps(design, recipe) if recipe else (),
         fixture_steps=fixture_steps(design, hardware),
         pictures=pictures(context),
-        section=section_svg(design, markers, switches),
+        section=section_svg(design, markers, switches) if recipe else "",
     )
     write_text(folder, "bench/assembly.html", sheet)
     masses = {name: bill.total_mass_g(rows, name) for name in ("resin", "tpu", "silicone")}
@@ -74,7 +78,7 @@ def run(context: Context, folder: Path) -> None:
         {
             "bill": rows,
             "mass_g": masses,
-            "recipe": asdict(recipe),
+            "recipe": asdict(recipe) if recipe else None,
             "map": {
                 "kind": drawn.unrolled.kind,
                 "pieces": drawn.unrolled.pieces,
@@ -114,6 +118,8 @@ def pictures(context: Context) -> dict[str, bytes]:
             for name, (mesh, shift) in parts.items()
         ]
         out["Shell, camera, light and their holders, pulled apart."] = picture(bodies)
+    if not context.design.has_switches:
+        return out
     stl = context.folders["shell"] / EXPORT / "shell/shell.stl"
     shell = Body(mesh=read_stl(stl), colour=DISPLAY_COLOURS["resin"][:3])
     switches = switch_bodies(context.surface, markers, switches_of(context), pull_mm)

@@ -19,7 +19,7 @@ from phytac_design.solids.cad import cad_facts, write_assembly, write_step
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.solid_mesh import to_triangles
 from phytac_design.stages.shell_stage import VOLUME_TOL
-from phytac_design.stages.switch_stage import absence, refusal, switches_of
+from phytac_design.stages.switch_stage import refusal, switches_of
 from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
 
 
@@ -34,10 +34,8 @@ def run(context: Context, folder: Path) -> None:
     DesignError
         If the design's own hardware does not fit, collides, hides markers or lets light in.
     """
-    if reason := absence(context):
-        why = f"the sensor is assembled with switches ({reason})"
-        if refusal(context):
-            why = f"without its switches the sensor's holes are open ({reason})"
+    if reason := refusal(context):
+        why = f"without its switches the sensor's holes are open ({reason})"
         context.progress(f"hardware: left out ({why})")
         write_facts(folder, {"hardware_left_out": why, "parts": []})
         return

@@ -111,21 +111,25 @@ def red_of(context: Context) -> dict[str, Any]:
 
 
 def switches_of(context: Context) -> SwitchSet:
-    """Switches of a design whose switch stage has run.
+    """Switches of a design whose switch stage has run; an empty set if it has none.
 
     Raises
     ------
     DesignError
-        If there are none; see :func:`absence`.
+        If they cannot be made; see :func:`refusal`.
     """
-    if absence(context):
-        raise DesignError("switch-infeasible", absence(context))
+    if refusal(context):
+        raise DesignError("switch-infeasible", refusal(context))
     return _set_of(context, context.facts("switch")["switches"])
 
 
-def without_switches(context: Context, folder: Path) -> bool:
-    """Write facts that say why a stage makes nothing, if there are no switches."""
-    reason = absence(context)
+def without_switches(context: Context, folder: Path, *, needed: bool = True) -> bool:
+    """Write facts that say why a stage makes nothing, if there are no switches.
+
+    A stage for which switches are not ``needed`` is left out only where the design has some that
+    cannot be made.
+    """
+    reason = absence(context) if needed else refusal(context)
     if reason:
         why = "the switches cannot be made" if refusal(context) else reason
         context.progress(f"left out: {why}")

@@ -26,7 +26,9 @@ def context_of(design: Design, folder: Path) -> Context:
     context = Context(design=design, accuracy=PRESETS["draft"], seed=0, progress=lambda _: None)
     bowl = BOWL if design.switch.footprint_diameter_mm > 4.5 else THIN
     wanted = sorted(set(thresholds_N(design, context.markers).tolist()))
-    facts = {"switches": [{"threshold_N": force, "bowl": bowl} for force in wanted]}
+    facts: dict[str, Any] = {"switches": [{"threshold_N": force, "bowl": bowl} for force in wanted]}
+    if not design.has_switches:
+        facts = {"switches": [], "absent": "the design has no switches"}
     put(context, folder, "switch", facts)
     return context
 

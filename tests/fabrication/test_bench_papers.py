@@ -79,6 +79,24 @@ def test_every_file_follows_the_design(two: list[tuple[Design, Path]]) -> None:
     assert same == {f"kit/{name}" for name in unchanged} | {"mold/dome_tray_1.stl"}
 
 
+def test_without_switches_the_documents_are_of_shell_and_paint_alone(tmp_path: Path) -> None:
+    few = SMALL | {"layout": {"rows": 2, "columns": 4}, "receptor": {"diameter_hole_mm": 0.0}}
+    made = ran(design(**few), tmp_path)
+    files = exported(made)
+    casting = {"switch_placement.csv", "casting.md"}
+    assert {name for name in files if "/" in name and name.startswith(("bench/", "mold/"))} == {
+        f"bench/{name}" for name in EVERY - casting
+    }
+    bill = rows_of(files["bench/bill_of_materials.csv"])
+    assert {row["part"] for row in bill} >= {"shell", "marker pen, blue", "marker pen, green"}
+    assert not any(row["material"] in ("tpu", "silicone") for row in bill)
+    assert "red" not in " ".join(row["part"] for row in bill)
+    pictured = files["bench/paint_map.svg"].read_text()
+    assert INKS["red"] not in pictured
+    assert INKS["blue"] in pictured
+    assert "witch" not in files["bench/assembly.html"].read_text()
+
+
 def test_all_files_speak_of_the_same_markers(two: list[tuple[Design, Path]]) -> None:
     for case, folder in two:
         surface = case.surface()

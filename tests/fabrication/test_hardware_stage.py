@@ -121,6 +121,21 @@ def test_without_switches_there_is_no_hardware(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("no_cad")
+def test_a_sensor_without_switches_is_assembled_all_the_same(tmp_path: Path) -> None:
+    made = context(changed("hemisphere", receptor={"diameter_hole_mm": 0.0}), tmp_path)
+    absent = {"refused": "", "absent": "the design has no switches", "switches": [], "parts": []}
+    (made.folders["switch"] / "facts.json").write_text(json.dumps(absent))
+    out = tmp_path / "out"
+    out.mkdir()
+    HARDWARE.run(made, out)
+    facts = json.loads((out / "facts.json").read_text())
+    assert set(files(tmp_path)) == {"fixtures/cover.stl", "fixtures/mount.stl"}
+    # The same parts, with the switches' body missing.
+    assert facts["interference"]["bodies"] == 13
+    assert facts["light"]["holes_uncovered"] == facts["light"]["leaks"] == 0
+
+
+@pytest.mark.usefixtures("no_cad")
 def test_hardware_can_be_left_out(tmp_path: Path) -> None:
     assert "parts" in run(tmp_path, hardware={"parts": "none"})["hardware_left_out"]
     assert files(tmp_path) == {}

@@ -48,8 +48,9 @@ def _listed(items: Sequence[str]) -> str:
 def assembly_html(
     design: Design,
     switches: SwitchSet,
-    recipe: Recipe,
+    recipe: Recipe | None,
     *,
+    count: int,
     bill: Sequence[Mapping[str, Any]],
     steps: Sequence[str],
     fixture_steps: Sequence[str],
@@ -60,6 +61,10 @@ def assembly_html(
 
     Parameters
     ----------
+    recipe : Recipe or None
+        None for a sensor without switches: it has neither their sections nor a calibration kit.
+    count : int
+        Receptors.
     bill : sequence of mappings
         Rows of the bill of materials.
     steps : sequence of str
@@ -71,12 +76,12 @@ def assembly_html(
     section : str
         SVG of a section through a receptor.
     """
-    count = len(switches.bowl)
     colours = " and ".join(dict.fromkeys(design.layout.colours))
     shell = [
         (
             "Print shell/shell.stl in tough resin as shell/print_report.svg shows, or its pieces "
-            "and glue them on their keys; wash it, cure it; look through every hole."
+            "and glue them on their keys; wash it, cure it"
+            f"{'; look through every hole' if recipe else ''}."
         ),
         (
             f"Paint {count} receptors {colours} as bench/paint_map.pdf shows: end face and last "
@@ -84,11 +89,22 @@ def assembly_html(
             "for the pen; the pages seen from outside are wrapped around the shell to check."
         ),
         "Or print shell/shell.3mf in several materials: then nothing is painted.",
-        (
-            "Before the switches are glued: run kit/shell.gcode and fit the wall with "
-            "`phytac calibrate` (kit/README.md)."
-        ),
     ]
+    lead = f'<p class="foot">{escape(design.description)}</p>'
+    shown = "".join(figure(data, caption) for caption, data in pictures.items())
+    title, pulled = f"{design.name}: assembly", [("Pulled apart", shown)] if shown else []
+    if recipe is None:
+        sections = [
+            *pulled,
+            ("1 Shell", _listed(shell)),
+            ("2 Camera, light, connectors", _listed(fixture_steps)),
+            ("Bill of materials", bill_table(bill)),
+        ]
+        return page(title, sections, lead)
+    shell.append(
+        "Before the switches are glued: run kit/shell.gcode and fit the wall with "
+        "`phytac calibrate` (kit/README.md)."
+    )
     place = [
         (
             f"Put {count} switches in, sorted by label: bench/switch_placement.csv, or the label "
@@ -103,7 +119,6 @@ def assembly_html(
             "look from the camera's end; a tip that shows now would show always."
         ),
     ]
-    shown = "".join(figure(data, caption) for caption, data in pictures.items())
     calibrate = [
         "After assembly: run kit/decoder.gcode for data with the switches in.",
     ]
@@ -112,7 +127,7 @@ def assembly_html(
         f"B {recipe.b_g:.2f} g, C {recipe.c_g:.2f} g.</p>"
     )
     sections = [
-        ("Pulled apart", shown),
+        *pulled,
         ("1 Shell", _listed(shell)),
         ("2 Switches: casting", grams + _listed(steps)),
         (
@@ -125,8 +140,7 @@ def assembly_html(
         ("5 Calibration", _listed(calibrate)),
         ("Bill of materials", bill_table(bill)),
     ]
-    lead = f'<p class="foot">{escape(design.description)}</p>'
-    return page(f"{design.name}: assembly", sections, lead)
+    return page(title, sections, lead)
 
 
 def fixture_steps(design: Design, hardware: Mapping[str, Any]) -> list[str]:

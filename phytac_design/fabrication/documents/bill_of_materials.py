@@ -38,7 +38,9 @@ def shell_parts(
 
 
 def switch_parts(switches: SwitchSet) -> list[dict[str, Any]]:
-    """Every kind of switch, and what their tips and seats need."""
+    """Every kind of switch, and what their tips and seats need; nothing without switches."""
+    if not switches.kinds:
+        return []
     profile_mm = 1e-3  # accuracy of the sections that volumes are taken from
     out = [
         bill_part(

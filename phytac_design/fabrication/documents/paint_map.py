@@ -83,7 +83,7 @@ def marker_numbers(markers: Markers) -> tuple[str, ...]:
 
 
 def switch_labels(switches: SwitchSet) -> tuple[str, ...]:
-    """Label of each marker's switch."""
+    """Label of each marker's switch; () without switches."""
     kinds = zip(switches.bowl.tolist(), switches.length.tolist(), strict=True)
     names = {kind: switches.label(kind) for kind in switches.kinds}
     return tuple(names[kind] for kind in kinds)
@@ -107,7 +107,7 @@ def make_map(sensor: Sensor, switches: SwitchSet) -> PaintMap:
         ghosts=_ghosts(unrolled, surface, markers, design.receptor.diameter_outer_mm / 2.0),
         stretch=unrolled.stretch_at(markers.uv),
         number=marker_numbers(markers),
-        switch=switch_labels(switches),
+        switch=switch_labels(switches) or ("",) * markers.count,
         paint=tuple(names[k] for k in markers.colour),
         marks_mm=_marks(unrolled, sensor),
         text_mm=float(np.clip(text_share * nearest, 0.9, 1.7)),
@@ -224,9 +224,10 @@ def draw_map(axes: Any, drawn: PaintMap) -> None:
         discs(axes, at[None], radius, facecolors="none", edgecolors=grey, **style)
         names(marker, at, grey)
     discs(axes, drawn.place_mm, radius, facecolors=[INKS[paint] for paint in drawn.paint])
-    discs(axes, drawn.place_mm, receptor.diameter_hole_mm / 2.0, facecolors="#ffffff")
-    tip = drawn.design.switch.tip_diameter_mm / 2.0
-    discs(axes, drawn.place_mm, tip, facecolors=INKS["red"])
+    if drawn.design.has_switches:
+        discs(axes, drawn.place_mm, receptor.diameter_hole_mm / 2.0, facecolors="#ffffff")
+        tip = drawn.design.switch.tip_diameter_mm / 2.0
+        discs(axes, drawn.place_mm, tip, facecolors=INKS["red"])
     for marker, at in enumerate(drawn.place_mm):
         names(marker, at, "#000000")
     if not len(drawn.marks_mm):
@@ -343,7 +344,7 @@ def _frame(
     scale_bar(axes, np.array([left + 4.0, foot - 4.0]), BAR_mm)
     scale_bar(axes, np.array([left, foot - 4.0]), side_bar_mm, upright=True)
     x = left + BAR_mm + 12.0
-    for name in [*dict.fromkeys(design.layout.colours), "red"]:
+    for name in [*dict.fromkeys(design.layout.colours), *(["red"] if design.has_switches else [])]:
         discs(axes, np.array([[x, foot - 6.0]]), 1.2, facecolors=INKS[name])
         words = f"{name} tip" if name == "red" else name
         write(axes, (x + 2.0, foot - 5.1), words, 2.6)
@@ -354,6 +355,9 @@ def map_notes(drawn: PaintMap) -> Sequence[str]:
     """Lines of explanation under the title."""
     design, unrolled = drawn.design, drawn.unrolled
     number = "row.column" if any("." in name for name in drawn.number) else "marker number"
+    below = tips = ""
+    if design.has_switches:
+        below, tips = "; below: its switch", "; the tips of the switches red"
     least, most = unrolled.stretch
     scale = (
         "true to scale everywhere"
@@ -364,11 +368,11 @@ def map_notes(drawn: PaintMap) -> Sequence[str]:
     return (
         (
             "Print at 100 % (no fitting); both bars must measure true. Above each marker: "
-            f"{number}; below: its switch. At the bottom: {bottom}."
+            f"{number}{below}. At the bottom: {bottom}."
         ),
         (
-            f"Paint end face and last {design.receptor.band_marker_mm:g} mm of each tube; the "
-            "tips of the switches red. Orange dashes: seams; grey: seen again across a seam."
+            f"Paint end face and last {design.receptor.band_marker_mm:g} mm of each receptor"
+            f"{tips}. Orange dashes: seams; grey: seen again across a seam."
         ),
         f"Outer face {unrolled.note}; {scale}.",
         *_mark_notes(design),

@@ -69,13 +69,13 @@ def switch_mesh(
 
 
 def sensor_solids(sensor: Sensor, switches: SwitchSet, *, tolerance_mm: float) -> dict[str, Any]:
-    """Shell and switches as manifolds."""
+    """Shell, and switches if there are any, as manifolds."""
     surface, markers = sensor.surface, sensor.markers
     shell_mm = 0.01  # accuracy of the shell under the bowls: less than the glue line
-    return {
-        SHELL: shell_manifold(sensor, tolerance_mm=min(tolerance_mm, shell_mm)),
-        SWITCHES: to_manifold(switch_mesh(surface, markers, switches)),
-    }
+    solids = {SHELL: shell_manifold(sensor, tolerance_mm=min(tolerance_mm, shell_mm))}
+    if switches.kinds:
+        solids[SWITCHES] = to_manifold(switch_mesh(surface, markers, switches))
+    return solids
 
 
 def exploded_bodies(
