@@ -89,7 +89,7 @@ def _parts(sets: list[dict[str, Any]], poured: list[dict[str, float]]) -> list[d
 
 MOLD = Stage(
     name="mold",
-    design_fields=("tubes", "switch", "mold", "print_rules"),
+    design_fields=("tubes", "receptor.diameter_hole_mm", "switch", "mold", "print_rules"),
     settings=("cad_tolerance_mm",),
     depends_on=("switch",),
     run=run,

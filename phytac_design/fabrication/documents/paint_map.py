@@ -31,6 +31,8 @@ INKS = {name: "#{:02x}{:02x}{:02x}".format(*rgba[:3]) for name, rgba in DISPLAY_
     "yellow": "#d8b400",
     "magenta": "#c2189b",
     "cyan": "#0fa3b1",
+    "white": "#e6e6e6",  # seen on white paper
+    "black": "#000000",
 }
 
 
