@@ -96,17 +96,14 @@ def test_a_face_of_a_step_file_becomes_a_patch(tmp_path: Path) -> None:
 def test_an_inward_face_is_turned_outward(tmp_path: Path) -> None:
     path = tmp_path / "wall.step"
     write_step(wall_cad(family_design("plane").surface(), WallSection(rim_length_mm=0.0)), path)
-    aside = 0
-    for face in range(6):
-        try:
-            points = surface_from_step(path, rows=3, columns=3, face=face)
-        except InputError as error:
-            assert error.code == "step-face-aside"
-            aside += 1
-            continue
+    # The plane leans: the two ends along its slope face aside, the other sides do not quite.
+    for face in (0, 1):
+        with refused("step-face-aside"):
+            surface_from_step(path, rows=3, columns=3, face=face)
+    for face in range(2, 6):
+        points = surface_from_step(path, rows=3, columns=3, face=face)
         around, along = points[1, 2] - points[1, 0], points[2, 1] - points[0, 1]
         assert np.cross(around, along)[2] > 0.0
-    assert aside == 4
 
 
 def test_faces_that_are_no_patch_are_refused(tmp_path: Path) -> None:
