@@ -39,6 +39,7 @@ NAMES = (
     "connect",
     "build",
     "page",
+    "docs",
 )
 """In the order in which they run; ``install`` needs other interpreters and is run by hand."""
 

@@ -17,6 +17,8 @@ from typing import Any
 
 import pytest
 
+from verification.case import Cases
+
 LIMIT_S = 300.0
 """Time after which a case has failed, unless its module has another ``LIMIT_S``."""
 STDERR = pytest.StashKey[int]()
@@ -51,7 +53,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if isinstance(item, pytest.Function) and hasattr(item, "callspec"):
             cases = getattr(item.module, "CASES", None)
-            if cases and item.callspec.params.get("case") in cases.fast():
+            if isinstance(cases, Cases) and item.callspec.params.get("case") in cases.fast():
                 item.add_marker("fast")
 
 

@@ -1,17 +1,11 @@
 """The documentation site: built strictly, whole, without foreign addresses, usable by everyone."""
 
-import functools
 import html
-import http.server
-import os
 import re
-import threading
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from html.parser import HTMLParser
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
+from urllib.parse import urlsplit
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -20,15 +14,15 @@ from playwright.sync_api import Browser
 from phytac_design.cli.app import PANELS
 from phytac_design.design.spec import Design
 from tests.docs.pages import ROOT
+from tests.docs.site_links import Page, broken_links, read_pages
 from tests.report import conftest as report
 
 pytest.importorskip("zensical", reason="no zensical: pip install -e .[docs]")
 
+from benchmarks.docs import served
 from tools import build_site
 
 browser = report.browser
-FETCHED = {"link": "href", "script": "src", "img": "src", "use": "href", "iframe": "src"}
-"""Attributes that make a browser fetch what they name."""
 PHONE, DESKTOP = (390, 844), (1280, 900)
 LOOKED_AT = {
     "index.html": DESKTOP,
@@ -41,26 +35,6 @@ LOOKED_AT = {
 """Pages opened on a phone, and the size at which axe runs: it takes seconds on a long page."""
 
 
-@dataclass
-class Page(HTMLParser):
-    """Anchors, links and fetched addresses of a page."""
-
-    ids: set[str] = field(default_factory=set)
-    links: list[str] = field(default_factory=list)
-    fetched: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        super().__init__()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        named = {name: value or "" for name, value in attrs}
-        self.ids.add(named.get("id", ""))
-        if tag == "a" and "href" in named:
-            self.links.append(named["href"])
-        if FETCHED.get(tag, "") in named:
-            self.fetched.append(named[FETCHED[tag]])
-
-
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("docs") / "site"
@@ -70,29 +44,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def pages(site: Path) -> dict[Path, Page]:
-    found = {}
-    for path in site.rglob("*.html"):
-        if path.name != "404.html":
-            found[path] = Page()
-            found[path].feed(path.read_text("utf-8"))
-    return found
+    return read_pages(site)
 
 
 @pytest.fixture(scope="module")
 def address(site: Path) -> Iterator[str]:
     """Serve the site on this machine."""
-    handler = functools.partial(QuietHandler, directory=site)
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}/"
-        server.shutdown()
-
-
-class QuietHandler(http.server.SimpleHTTPRequestHandler):
-    """Files of a folder, without a line for each request."""
-
-    def log_message(self, *_: object) -> None:
-        pass
+    with served(site) as address:
+        yield address
 
 
 def test_every_page_is_in_the_navigation(site: Path, pages: dict[Path, Page]) -> None:
@@ -106,19 +65,7 @@ def test_every_page_is_in_the_navigation(site: Path, pages: dict[Path, Page]) ->
 
 
 def test_no_link_or_anchor_is_broken(pages: dict[Path, Page]) -> None:
-    broken = []
-    for path, page in pages.items():
-        for link in {*page.links, *page.fetched}:
-            parts = urlsplit(link)
-            if parts.scheme:
-                continue
-            target = Path(os.path.normpath(path.parent / unquote(parts.path)))
-            target = path if not parts.path else target
-            target = target / "index.html" if target.is_dir() else target
-            anchors = pages[target].ids if target in pages else set()
-            if not target.is_file() or (parts.fragment and unquote(parts.fragment) not in anchors):
-                broken.append((path.name, link))
-    assert broken == []
+    assert broken_links(pages) == []
     assert sum(len(page.links) for page in pages.values()) > 1000
 
 
