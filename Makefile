@@ -1,5 +1,6 @@
 # `make build` sets everything up and builds the published sensor; `make test` sets everything up and
-# tests; `make check` is the fast lane for editing; `make docs` builds the documentation into site/.
+# tests; `make check` is the fast lane for editing, `make test-all` also runs the longest tests (every
+# example, the tutorial, the convolutional baseline); `make docs` builds the documentation into site/.
 # All are idempotent. Any Python from 3.11 on: PYTHON=python3.13 make test.
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3.14 || echo python3)
 VENV ?= .venv
@@ -11,7 +12,7 @@ LOCKED := $(shell $(PYTHON) -c 'import sys; print("-r requirements.lock" if sys.
 # every process compiles its libraries again, which costs a second or three each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: benchmarks build test check docs pytest fast lint types contracts system setup clean
+.PHONY: benchmarks build test test-all check docs pytest everything fast lint types contracts system setup clean
 
 build: setup
 	$(BIN)/phytac build cylinder60 --out exports/cylinder60
@@ -19,6 +20,9 @@ build: setup
 # Types are checked while tests begin: that takes one core, and tests do not depend on it.
 test: setup lint contracts
 	@$(MAKE) -j2 --no-print-directory types pytest
+
+test-all: setup lint contracts
+	@$(MAKE) -j2 --no-print-directory types everything
 
 check: setup lint contracts
 	@$(MAKE) -j2 --no-print-directory types fast
@@ -32,10 +36,13 @@ benchmarks: setup
 	$(BIN)/python -m benchmarks
 
 pytest: setup
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long"
+
+everything: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 fast: setup
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not long"
 
 lint: setup
 	$(BIN)/ruff check .

@@ -34,6 +34,8 @@ from tests.designs import DRAWN, drawn
 FORCE_N = 15.0
 ACCURACY = replace(PRESETS["draft"], sample_share=0.1, place_share=1.6)
 """Few samples and places: one press is judged."""
+WHOLE = ("grip", "hemisphere", "patch", "plane")
+"""Families of which every `make test` builds one; of the others there are shipped designs."""
 seeds = st.integers(0, 2**32 - 1)
 every_family = pytest.mark.parametrize("kind", sorted(REGISTRY))
 again = settings(
@@ -141,7 +143,13 @@ def through_every_stage(design: Design, out: Path) -> None:
     assert (measured.forces_N(bundle, "koi_inverse")[~on] == 0.0).all()
 
 
-@every_family
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(name, marks=[pytest.mark.long] * (name not in WHOLE))
+        for name in sorted(REGISTRY)
+    ],
+)
 def test_a_drawn_design_goes_through_every_stage(kind: str, tmp_path: Path) -> None:
     """One design of each family, always the same one of few markers: whole builds are slow."""
     design = drawn(kind, 2)

@@ -144,6 +144,7 @@ print(json.dumps([cell.get("outputs", []) for cell in book.cells]))
 """
 
 
+@pytest.mark.long
 def test_the_tutorial_runs(tmp_path: Path) -> None:
     # The kernel leaves nothing in the user's folders.
     own = {name: str(tmp_path / name) for name in ("JUPYTER_RUNTIME_DIR", "IPYTHONDIR")}

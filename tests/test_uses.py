@@ -45,6 +45,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     patch.undo()
 
 
+@pytest.mark.long
 def test_grip_tells_fingers_apart(out: Path) -> None:
     import grip
 
@@ -59,6 +60,7 @@ def test_grip_tells_fingers_apart(out: Path) -> None:
     assert len((out / "grip-regions.csv").read_text().splitlines()) == 9
 
 
+@pytest.mark.long
 def test_a_stroke_has_five_curves(out: Path) -> None:
     import stroke
 
@@ -74,6 +76,7 @@ def test_a_stroke_has_five_curves(out: Path) -> None:
     assert (out / "stroke.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_objects_break_where_the_true_force_would_break_them(out: Path) -> None:
     import objects
 

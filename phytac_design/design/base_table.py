@@ -1,10 +1,22 @@
 """What every table of a design file has in common."""
 
+import ast
+import inspect
 from collections.abc import Callable, Mapping
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
+from textwrap import dedent
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+    model_validator,
+)
 
 
 def assumed(default: Any, **limits: Any) -> Any:
@@ -70,16 +82,52 @@ def _plain(value: Any) -> Any:
     return float(value) if isinstance(value, int) and abs(value) < 2**1000 else value
 
 
+@cache
+def descriptions(table: type[BaseModel]) -> dict[str, str]:
+    """Meaning of each field: as stated with it, else the docstring below it.
+
+    Read from the source when it is asked for; pydantic's ``use_attribute_docstrings`` reads all
+    sources at every start of a process, which takes longer than making the classes.
+    """
+    stated = {name: info.description for name, info in table.model_fields.items()}
+    found = {name: text for name, text in stated.items() if text}
+    for owner in reversed(table.__mro__):
+        if owner.__dict__.get("__annotations__", {}).keys() <= {*found, "model_config"}:
+            continue
+        (tree,) = ast.parse(dedent(inspect.getsource(owner))).body
+        assert isinstance(tree, ast.ClassDef)
+        for field, text in pairwise(tree.body):
+            if (
+                isinstance(field, ast.AnnAssign)
+                and isinstance(field.target, ast.Name)
+                and isinstance(text, ast.Expr)
+                and isinstance(text.value, ast.Constant)
+            ):
+                found[field.target.id] = inspect.cleandoc(str(text.value.value))
+    return found
+
+
 class Section(BaseModel):
     """A table of the design file."""
 
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,
-        use_attribute_docstrings=True,
         allow_inf_nan=False,
         validate_default=True,
     )
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: Any, handler: GetJsonSchemaHandler, /
+    ) -> dict[str, Any]:
+        """Return the schema with the meaning of each field."""
+        schema = handler(core_schema)
+        fields = handler.resolve_ref_schema(schema).get("properties", {})
+        for name, text in descriptions(cls).items():
+            if name in fields:
+                fields[name]["description"] = text
+        return schema
 
     @model_validator(mode="before")
     @classmethod

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 from tomlkit.items import AoT, Table
 
+from phytac_design.design.base_table import descriptions
 from phytac_design.design.paints_table import NOMINAL_PAINTS
 from phytac_design.design.spec import Design, ShapeSection
 from phytac_design.design.toml_files import TomlFileKind
@@ -106,8 +107,8 @@ def to_toml(design: Design) -> str:
         listed = name in {"fixtures", "regions"}
         if listed:
             document.add(tomlkit.nl())
-        if info.description:
-            document.add(tomlkit.comment(info.description))
+        if name in descriptions(Design):
+            document.add(tomlkit.comment(descriptions(Design)[name]))
         if not listed:
             document.add(name, values[name])
         elif section:
@@ -130,7 +131,7 @@ def _table(section: BaseModel, values: dict[str, Any]) -> Table:
             for name, sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
             if isinstance(getattr(rule, name, None), int | float)
         ]
-        text = (info.description or key) + (f" [{', '.join(limits)}]" if limits else "")
+        text = descriptions(type(section)).get(key, key) + (f" [{', '.join(limits)}]" if limits else "")
         table.add(tomlkit.comment(text + (" (assumed)" if assumed else "")))
         table.add(key, values[key])
     return table

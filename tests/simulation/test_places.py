@@ -96,18 +96,17 @@ def true_shifts(
 
 
 def test_force_along_the_surface_moves_markers_as_the_solved_wall_does() -> None:
-    """At places between those that were solved, by a finer mesh and a small force."""
+    """At a place between those that were solved, by a finer mesh and a small force."""
     places = tabulated().places
     assert places.shear is not None
     assert len(places.shear.point_mm) < len(places.point_mm)
     u = SURFACE.domain[0].mean()
-    for v in (0.13, 0.61):
-        uv = np.array([[u, SURFACE.domain[1] @ [1.0 - v, v]]])
-        plain = true_shifts(uv, places.radius_mm, 0.01)
-        table = places.shear_at(SURFACE.point(uv))[0]
-        for axis, friction in enumerate(((0.5, 0.0), (0.0, 0.5))):
-            shifts = true_shifts(uv, places.radius_mm, 0.01, friction=friction)
-            assert off(table[axis], (shifts - plain) / 0.005) < 0.08
+    uv = np.array([[u, SURFACE.domain[1] @ [0.39, 0.61]]])
+    plain = true_shifts(uv, places.radius_mm, 0.01)
+    table = places.shear_at(SURFACE.point(uv))[0]
+    for axis, friction in enumerate(((0.5, 0.0), (0.0, 0.5))):
+        shifts = true_shifts(uv, places.radius_mm, 0.01, friction=friction)
+        assert off(table[axis], (shifts - plain) / 0.005) < 0.08
 
 
 def predicted(places: ResponseTable, place: int, force_N: float) -> FloatArray:

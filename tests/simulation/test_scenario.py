@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from phytac_design.design.base_table import descriptions
 from phytac_design.design.toml_files import table_models
 from phytac_design.simulation.scenario.scenario_file import (
     Scenario,
@@ -152,7 +153,7 @@ def test_the_page_explains_every_field() -> None:
     for model in _models(Scenario):
         for key, info in model.model_fields.items():
             if not isinstance(info.default, BaseModel) and key not in {"grip", "cycle"}:
-                text = " ".join((info.description or "").split()).replace("|", "\\|")
+                text = " ".join(descriptions(model)[key].split()).replace("|", "\\|")
                 assert re.search(rf"^\| `{key}` \|.*\| {re.escape(text)} \|$", page, re.MULTILINE)
 
 

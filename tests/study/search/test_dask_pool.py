@@ -111,6 +111,7 @@ def outcomes(pool: SerialPool, kind: type[Task]) -> dict[int, Outcome]:
     return found
 
 
+@pytest.mark.long
 def test_a_process_that_is_killed_loses_nothing(
     expected: list[dict[str, object]], tmp_path: Path
 ) -> None:
