@@ -7,7 +7,7 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from textwrap import dedent
-from typing import Any
+from typing import Any, cast
 
 from pydantic import (
     BaseModel,
@@ -92,10 +92,9 @@ def descriptions(table: type[BaseModel]) -> dict[str, str]:
     stated = {name: info.description for name, info in table.model_fields.items()}
     found = {name: text for name, text in stated.items() if text}
     for owner in reversed(table.__mro__):
-        if owner.__dict__.get("__annotations__", {}).keys() <= {*found, "model_config"}:
+        if inspect.get_annotations(owner).keys() <= {*found, "model_config"}:
             continue
-        (tree,) = ast.parse(dedent(inspect.getsource(owner))).body
-        assert isinstance(tree, ast.ClassDef)
+        tree = cast(ast.ClassDef, ast.parse(dedent(inspect.getsource(owner))).body[0])
         for field, text in pairwise(tree.body):
             if (
                 isinstance(field, ast.AnnAssign)

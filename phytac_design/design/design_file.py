@@ -98,7 +98,7 @@ def to_toml(design: Design) -> str:
     document.add(tomlkit.comment("Lengths in mm, forces in N, moduli in MPa, angles in degrees."))
     document.add(tomlkit.comment("(assumed): not stated by the paper; set it to your own parts."))
     values = design.model_dump(mode="json")
-    for name, info in Design.model_fields.items():
+    for name in Design.model_fields:
         section = getattr(design, name)
         if isinstance(section, BaseModel):
             document.add(tomlkit.nl())
@@ -131,7 +131,8 @@ def _table(section: BaseModel, values: dict[str, Any]) -> Table:
             for name, sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
             if isinstance(getattr(rule, name, None), int | float)
         ]
-        text = descriptions(type(section)).get(key, key) + (f" [{', '.join(limits)}]" if limits else "")
+        text = descriptions(type(section)).get(key, key)
+        text += f" [{', '.join(limits)}]" if limits else ""
         table.add(tomlkit.comment(text + (" (assumed)" if assumed else "")))
         table.add(key, values[key])
     return table
