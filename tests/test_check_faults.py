@@ -122,6 +122,21 @@ def test_a_quick_repair_passes_the_check() -> None:
     assert quick_repair(design, seconds=-1.0) is None
 
 
+def test_an_angle_or_a_camera_with_more_pixels_separates_fused_markers() -> None:
+    straight = {"rows": 10, "columns": 18, "spiral_angle_deg": 0.0, "height_far_mm": 4.0}
+    narrow = {"footprint_diameter_mm": 4.0}
+    few = {"width_px": 160, "height_px": 120, "focal_px": 60.0}
+    for design, wanted in (
+        (small(layout=straight, switch=narrow, camera=COARSE), "layout.spiral_angle_deg 0 → "),
+        (small(camera=few), "camera.width_px 160 → "),
+    ):
+        assert not seen_at_rest(check_design(design)).clear.all()
+        found = quick_repair(design)
+        assert found is not None
+        assert found[0].startswith(wanted)
+        assert checkup(found[1])["clear"]
+
+
 def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
     def run(words: tuple[str, ...] = (), **tables: Any) -> Any:
         path = tmp_path / "mine.toml"
@@ -138,7 +153,7 @@ def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
     bad = run(**hidden())
     assert bad.returncode == DesignError.exit_code
     last = bad.stdout.splitlines()[-1]
-    assert last.startswith("`phytac advise mine.toml` can repair this: light.bar_radius_mm")
+    assert last.startswith("this repairs it: light.bar_radius_mm")
     broken: dict[str, Any] = {"wall": {"thickness_mm": 0.08}, "camera": {"stand_off_mm": 3.0}}
     out = run(("--json",), **broken)
     assert out.returncode == DesignError.exit_code
@@ -185,7 +200,5 @@ def test_a_rule_that_advice_satisfies(tmp_path: Path, monkeypatch: pytest.Monkey
     few, hole = {"rows": 5, "columns": 10}, {"diameter_hole_mm": 2.3}
     path.write_text(to_toml(small(layout=few, receptor=hole)))
     out = phytac("check", "mine.toml", cwd=tmp_path)
-    assert out.stdout == (
-        "`phytac advise mine.toml` can repair this: receptor.diameter_outer_mm 3 → 3.1 mm\n"
-    )
+    assert out.stdout == "this repairs it: receptor.diameter_outer_mm 3 → 3.1 mm\n"
     assert "error[tube-wall-too-thin]" in out.stderr

@@ -168,7 +168,7 @@ def _verdict(report: dict[str, Any], *, visible: bool) -> str:
 
 
 def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
-    """Point to ``phytac advise`` with a change that it can make, if one is found soon."""
+    """Name a change that repairs the design, if one is found soon; else point to ``advise``."""
     markers_max = 1000  # more take longer than a reader of the faults waits
     from phytac_design.design.accuracy import PRESETS
     from phytac_design.design.design_file import load_design
@@ -196,7 +196,7 @@ def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
         except TimeLimitError:
             words, late = "", True
     if words:
-        typer.echo(f"`phytac advise {name}` can repair this: {words}")
+        typer.echo(f"this repairs it: {words}")
     elif refused and not late:
         typer.echo("no change of one field by a few steps repairs this: correct the fields above")
     else:

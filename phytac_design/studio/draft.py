@@ -112,7 +112,7 @@ def _drawn(candidate: Candidate, refused: DesignError | None, side_px: int, chec
         "density_least_per_cm2": float(density.per_cm2.min()),
         "sampled_visible_least": float(fraction.min()),
         "sampled_hidden": int((~seen).sum()),
-        "sampled_gap_px": outlined_gap_px(candidate, best),
+        "sampled_gap_px": outlined_gap_px(candidate.sensor, best),
         "surrogate_force_sd_N": float(np.median(predicted.bound.force_N)),
     }
     shown = (

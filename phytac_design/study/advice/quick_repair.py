@@ -1,29 +1,36 @@
 """One change after which every marker is visible at rest, in seconds: a start for ``advise``."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.sensor import Sensor
+from phytac_design.optics.loaded_visibility import FUSED_PX
 from phytac_design.optics.render_scene import BAR
-from phytac_design.optics.visibility import Visibility, best_of, check_visibility
+from phytac_design.optics.visibility import FRACTION_MIN, Visibility, best_of, check_visibility
 from phytac_design.rules.check import check_design
-from phytac_design.study.advice.design_variables import DesignVariable, variables_of
+from phytac_design.study.advice.design_variables import variables_of, with_fields
+from phytac_design.study.search.fidelity_levels import outlined_gap_px, sampled_fractions
 from phytac_shapes.errors import PhytacError
 
 REMEDIES: dict[str, tuple[int, ...]] = {
     "light.bar_radius_mm": (-4, -8),
+    "layout.spiral_angle_deg": (10, -10, 20, -20, 40, -40, 80, -80),
     "layout.heights (all, times)": (-4, -8),
     "layout.height_exponent": (5, 10, 20),
     "camera.stand_off_mm": (6, 24),
-    "layout.columns": (-1, -2),
-    "layout.rows": (-2, -4),
+    "layout.columns": (-1, -2, -4),
+    "layout.rows": (-2, -4, -8),
     "layout.count": (-5, -15),
     "receptor.band_marker_mm": (-3,),
 }
 """Variables that clear markers, the cheapest for the sensor first, and numbers of their steps."""
+MORE_PIXELS = (1.5, 2.0, 3.0)
+"""Cameras with this many times the pixels along each side are tried after the variables."""
 
 
 def seen_at_rest(sensor: Sensor, *, seed: int = 0) -> Visibility:
@@ -41,6 +48,7 @@ def quick_repair(
 ) -> tuple[str, Design] | None:
     """Change of one variable that makes every marker of a design visible and separable at rest.
 
+    Changes are screened by some 64 rays a marker; the first that passes is confirmed exactly.
     Presses are not evaluated: `phytac advise` does that.
 
     Parameters
@@ -61,32 +69,70 @@ def quick_repair(
     start = time.monotonic()
     sensor = check_design(design)
     by_bar = bool((seen_at_rest(sensor, seed=seed).hidden_by == BAR).any())
+    for words, change in _changes(sensor, by_bar=by_bar):
+        if time.monotonic() - start > seconds:
+            return None
+        progress(f"trying {words}")
+        changed = _clear(change, seed)
+        if changed is not None:
+            return words, changed
+    return None
+
+
+def _changes(sensor: Sensor, *, by_bar: bool) -> Iterator[tuple[str, Callable[[], Design]]]:
+    """Changes in words, and what makes each: variables, then other cameras."""
+    design = sensor.design
     variables = {one.name: one for one in variables_of(sensor)}
     for name, times in REMEDIES.items():
         if name not in variables or (name == "light.bar_radius_mm" and not by_bar):
             continue
+        variable = variables[name]
         for count in times:
-            if time.monotonic() - start > seconds:
-                return None
-            amount = count * variables[name].step
-            changed = _clear(variables[name], design, amount, seed, progress)
-            if changed is not None:
-                return variables[name].words(amount), changed
-    return None
+            amount = count * variable.step
+            yield variable.words(amount), partial(variable.moved, design, amount)
+    for fields in _other_cameras(design):
+        yield _words(design, fields), partial(with_fields, design, fields)
 
 
-def _clear(
-    variable: DesignVariable,
-    design: Design,
-    amount: float,
-    seed: int,
-    progress: Callable[[str], None],
-) -> Design | None:
+def _words(design: Design, fields: Mapping[str, Any]) -> str:
+    """Numbers and words that change, for a reader."""
+    now = {name: getattr(design.camera, name.partition(".")[2]) for name in fields}
+    return ", ".join(
+        f"{name} {now[name]:.5g} → {new:.5g}"
+        if isinstance(new, int | float)
+        else f"{name} {now[name]} → {new}"
+        for name, new in fields.items()
+        if isinstance(new, int | float | str)
+    )
+
+
+def _other_cameras(design: Design) -> Iterator[dict[str, Any]]:
+    """Fields of cameras with more pixels on the same chip, then of a second camera."""
+    camera = design.camera
+    if camera.preset == "custom" and not camera.calibration:
+        for times in MORE_PIXELS:
+            yield {
+                "camera.width_px": round(times * camera.width_px),
+                "camera.height_px": round(times * camera.height_px),
+                "camera.focal_px": times * camera.focal_px,
+                "camera.pixel_um": camera.pixel_um / times,
+                "camera.centre_offset_px": [times * offset for offset in camera.centre_offset_px],
+            }
+    if camera.ends != "both":
+        yield {"camera.ends": "both"}
+
+
+def _clear(change: Callable[[], Design], seed: int) -> Design | None:
     """The changed design, if it keeps every rule and shows every marker."""
-    progress(f"trying {variable.words(amount)}")
     try:
-        changed = variable.moved(design, amount)
-        seen = seen_at_rest(check_design(changed), seed=seed)
+        changed = change()
+        sensor = check_design(changed)
+        fractions = sampled_fractions(sensor)
+        if fractions.max(axis=0).min() < FRACTION_MIN:
+            return None
+        if outlined_gap_px(sensor, fractions.argmax(axis=0)) <= FUSED_PX:
+            return None
+        seen = seen_at_rest(sensor, seed=seed)
     except PhytacError:
         return None
     return changed if bool(seen.clear.all()) else None

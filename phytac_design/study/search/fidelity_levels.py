@@ -120,29 +120,27 @@ def effort(candidate: Candidate) -> Measures:
     }
 
 
+def sampled_fractions(sensor: Sensor) -> FloatArray:
+    """Share of each marker's paint that each camera sees at rest, (cameras, n), by few rays."""
+    coarse = 2.5  # polygons 0.25 px off their circles are near enough for few rays
+    fractions = []
+    for camera in sensor.cameras:
+        scene = build_scene(sensor, tolerance_mm=coarse * tolerance_mm(camera, sensor.markers))
+        fractions.append(sampled_fraction(scene, camera).fraction)
+    return np.stack(fractions)
+
+
 def sampled(candidate: Candidate) -> Measures:
     """Sampled visibility at rest, density, and resolution by the closed form."""
     surface, markers = candidate.sensor.surface, candidate.sensor.markers
-    coarse = 2.5  # polygons 0.25 px off their circles are near enough for few rays
-    fractions = np.stack(
-        [
-            sampled_fraction(
-                build_scene(
-                    candidate.sensor,
-                    tolerance_mm=coarse * tolerance_mm(camera, markers),
-                ),
-                camera,
-            ).fraction
-            for camera in candidate.sensor.cameras
-        ]
-    )
+    fractions = sampled_fractions(candidate.sensor)
     fraction = fractions.max(axis=0)
     predicted = predict(candidate.sensor, candidate.sensor.cameras, fraction >= FRACTION_MIN)
     bound = predicted.bound
     return {
         "sampled_visible_least": float(fraction.min()),
         "sampled_hidden": int((fraction < FRACTION_MIN).sum()),
-        "sampled_gap_px": outlined_gap_px(candidate, fractions.argmax(axis=0)),
+        "sampled_gap_px": outlined_gap_px(candidate.sensor, fractions.argmax(axis=0)),
         "density_least_per_cm2": density_of(surface, markers).local_min_per_cm2,
         "surrogate_force_sd_N": float(np.median(bound.force_N)),
         "surrogate_force_sd_worst_N": float(bound.force_N.max()),
@@ -166,12 +164,12 @@ def band_rings(design: Design, markers: Markers, count: int = 16) -> FloatArray:
     return np.concatenate([markers.tip_mm[:, None] + ring, back[:, None] + ring], axis=1)
 
 
-def outlined_gap_px(candidate: Candidate, camera_of: IntArray) -> float:
+def outlined_gap_px(sensor: Sensor, camera_of: IntArray) -> float:
     """Least distance of painted outlines of one colour, px; occlusion is ignored."""
-    markers = candidate.sensor.markers
-    points = band_rings(candidate.design, markers)
+    markers = sensor.markers
+    points = band_rings(sensor.design, markers)
     least = np.inf
-    for number, camera in enumerate(candidate.sensor.cameras):
+    for number, camera in enumerate(sensor.cameras):
         own = np.flatnonzero(camera_of == number)
         pixels = camera.project(points[own].reshape(-1, 3)).reshape(len(own), -1, 2)
         own = own[known := np.isfinite(pixels).all(axis=(1, 2))]
