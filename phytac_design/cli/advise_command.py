@@ -14,30 +14,34 @@ def advise(
     accuracy: Annotated[Preset, typer.Option(help="Fineness of mechanics.")] = "draft",
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Change a setting of the preset: refine=5. May be repeated."),
+        typer.Option(
+            "--set", help="Change one setting of the preset, such as refine=5. May be repeated."
+        ),
     ] = None,
     only: Annotated[
         str,
-        typer.Option(help="Fields (wall.thickness_mm), tables (layout) or rows, comma separated."),
+        typer.Option(
+            help="What may change: fields (wall.thickness_mm), tables (layout), rows; with commas."
+        ),
     ] = "",
     checks: Annotated[
-        int, typer.Option(min=0, help="Changes that are applied and evaluated at most.")
+        int, typer.Option(min=0, help="Largest number of changes that are applied and evaluated.")
     ] = 5,
     polish: Annotated[
         bool, typer.Option(help="Refine the design until no step gains 1 %.")
     ] = False,
-    rounds: Annotated[int, typer.Option(min=1, help="Steps of --polish at most.")] = 6,
+    rounds: Annotated[int, typer.Option(min=1, help="Largest number of steps of --polish.")] = 6,
     out: Annotated[
         Path | None,
         typer.Option(
             callback=check_out,
-            help="Folder for advice.json and the changed designs; none if not given.",
+            help="Folder for advice.json and the changed designs; nothing is written if not given.",
         ),
     ] = None,
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Suggest changes of a design; each one is applied and evaluated first.
+    """Suggest changes to a design; each one is applied and evaluated first.
 
     Evaluations are cached: a command that was stopped resumes where it was.
     """

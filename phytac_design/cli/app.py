@@ -46,7 +46,7 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    help="From one design file: a camera-based force sensor, printable, proven visible, decoded.",
+    help="Build a camera-based force sensor from one design file: shell, markers, decoder.",
 )
 
 
@@ -73,10 +73,12 @@ def schema() -> None:
 
 
 def shapes(
-    name: Annotated[str, typer.Argument(help="A family, for its drawing and variables.")] = "",
+    name: Annotated[
+        str, typer.Argument(help="A family; the command then shows its drawing and variables.")
+    ] = "",
     as_json: JsonOption = False,
 ) -> None:
-    """List the surface families and what each asks of a design file."""
+    """List the surface families, and the fields that each needs in a design file."""
     from phytac_design.design.catalogue import shape_facts, shape_list, shape_page
 
     if as_json:

@@ -22,7 +22,7 @@ def build(
     design: Annotated[
         str,
         typer.Argument(
-            help="A shipped design or the path of a file; none with --from-study.",
+            help="A shipped design or the path of a file; omit it with --from-study.",
             autocompletion=complete_design,
         ),
     ] = "",
@@ -35,36 +35,46 @@ def build(
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Change a setting of the preset: refine=5. As often as asked."),
+        typer.Option(
+            "--set", help="Change one setting of the preset, such as refine=5. May be repeated."
+        ),
     ] = None,
     tolerance: Annotated[
-        str | None, typer.Option(help="Build as cheaply as this error allows: 2%.")
+        str | None,
+        typer.Option(help="Use the cheapest settings with at most this error, such as 2%."),
     ] = None,
     tolerance_of: Annotated[
-        str, typer.Option(help="What the tolerance is of: force, visibility or volume.")
+        str, typer.Option(help="Quantity that --tolerance limits: force, visibility or volume.")
     ] = "force",
     budget: Annotated[
-        str | None, typer.Option(help="Build as finely as this time allows: 60s, 5m.")
+        str | None,
+        typer.Option(
+            help="Use the finest settings that take at most this time, such as 60s or 5m."
+        ),
     ] = None,
     scene: Annotated[
-        str, typer.Option(help="Build what a scene requires alone; see phytac plan.")
+        str, typer.Option(help="Build only what a scene requires; see phytac plan.")
     ] = "",
-    only: Annotated[str, typer.Option(help="Stages, comma separated, with what they need.")] = "",
+    only: Annotated[
+        str, typer.Option(help="Stages to run, comma separated; the stages that they need run too.")
+    ] = "",
     from_study: Annotated[
-        Path | None, typer.Option(help="Folder of a study: build one of its candidates.")
+        Path | None, typer.Option(help="Folder of a study; one of its candidates is built.")
     ] = None,
-    trial: Annotated[int | None, typer.Option(help="Number of that candidate.", min=0)] = None,
+    trial: Annotated[
+        int | None, typer.Option(help="Number of the candidate of --from-study.", min=0)
+    ] = None,
     seed: SeedOption = 0,
     workers: Annotated[
         int | None,
         typer.Option(
-            help="Processes that run stages side by side; as many as cores if not given.", min=1
+            help="Processes that run stages in parallel; one for each core if not given.", min=1
         ),
     ] = None,
     force: Annotated[
         bool,
         typer.Option(
-            help="Overwrite another design's folder; continue although markers hide or fuse."
+            help="Overwrite another design's folder, and continue although markers hide or fuse."
         ),
     ] = False,
     as_json: JsonOption = False,

@@ -13,17 +13,19 @@ from phytac_shapes.errors import DesignError
 def cache(
     prune: Annotated[
         str | None,
-        typer.Option(help="Drop the least recently used until it is this small: 2GB, 500MB, 0."),
+        typer.Option(
+            help="Delete the least recently used results down to this size: 2GB, 500MB, 0."
+        ),
     ] = None,
     older_than: Annotated[
-        str | None, typer.Option(help="Drop what was not used for this long: 7d, 12h.")
+        str | None, typer.Option(help="Delete results that were not used for this long: 7d, 12h.")
     ] = None,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Read every file; drop what is damaged.")
+        bool, typer.Option("--verify", help="Check every file, and delete damaged results.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the cache of finished stages, or make room in it."""
+    """Show the cache of finished stages, or delete results from it."""
     from phytac_design.core.cache_folder import cache_root
     from phytac_design.engine import cache as store
 

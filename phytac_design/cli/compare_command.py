@@ -19,7 +19,7 @@ def compare(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Put builds side by side: key figures, what differs in their designs, maps and shells."""
+    """Compare builds: key figures, differences of their designs, maps and shells."""
     from phytac_design.report.built_sensors import read_builds
     from phytac_design.report.compare import compare_page, comparison
     from phytac_shapes.errors import InputError, OutputError

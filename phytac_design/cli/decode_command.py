@@ -61,19 +61,19 @@ def decode(
     estimator: Annotated[
         Estimator | None,
         typer.Option(
-            help="Force estimator; auto, or koi_inverse without its tables, if not given."
+            help="Force estimator. If not given: auto, or koi_inverse if the bundle has no tables."
         ),
     ] = None,
     fps: Annotated[
         float | None,
         typer.Option(
-            help="Rate of a recording, for its timestamps; it is decoded as fast as possible."
+            help="Rate of a recording, for its timestamps; decoding is as fast as possible."
         ),
     ] = None,
     follow: FollowOption = False,
     control: ControlOption = None,
     csv: Annotated[Path | None, typer.Option(help="CSV of contacts to write.")] = None,
-    parquet: Annotated[Path | None, typer.Option(help="The same as Parquet.")] = None,
+    parquet: Annotated[Path | None, typer.Option(help="Parquet file of contacts to write.")] = None,
     mcap: Annotated[
         Path | None,
         typer.Option(help="ROS 2 messages as MCAP, for Foxglove and ros2 bag (extra recordings)."),

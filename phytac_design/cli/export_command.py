@@ -34,11 +34,12 @@ def export(
         bool | None,
         typer.Option(
             "--receptors/--no-receptors",
-            help="A frame for each receptor; by default not in URDF, where each is a link.",
+            help="Write a frame for each receptor; by default not in URDF, where each is a link.",
         ),
     ] = None,
     mesh_prefix: Annotated[
-        str, typer.Option(help="Before the names of mesh files: package://my_robot/sensor/.")
+        str,
+        typer.Option(help="Prefix of the names of mesh files, such as package://my_robot/sensor/."),
     ] = "",
     force: Annotated[
         bool, typer.Option(help="Overwrite a folder that holds something else.")

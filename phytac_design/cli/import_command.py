@@ -17,7 +17,9 @@ def import_(
         list[Path],
         typer.Option(help="Folder of images, or a video; twice for two cameras, near end first."),
     ],
-    bundle: Annotated[Path, typer.Option(help="The design's decoder, as in exports/NAME/decoder.")],
+    bundle: Annotated[
+        Path, typer.Option(help="Decoder of the design, such as exports/NAME/decoder.")
+    ],
     out: Annotated[Path, typer.Option(callback=check_out, help="The data set's own folder.")],
     rest: Annotated[
         list[str] | None,
@@ -31,7 +33,7 @@ def import_(
         float | None,
         typer.Option(
             "--tolerance-s",
-            help="Largest difference of a row's time and its frame's; half a frame if not given.",
+            help="Largest time between a row and its frame, s; half a frame if not given.",
             min=0.0,
         ),
     ] = None,
@@ -40,24 +42,30 @@ def import_(
     ] = 0.0,
     fps: Annotated[
         float | None,
-        typer.Option(help="Frames a second, where neither names nor video say.", min=1e-6),
+        typer.Option(help="Frames a second, if neither file names nor video give it.", min=1e-6),
     ] = None,
     radius: Annotated[
         float | None,
-        typer.Option("--radius-mm", help="Of contacts whose radius the log lacks.", min=0.0),
+        typer.Option(
+            "--radius-mm", help="Radius of contacts that have none in the log, mm.", min=0.0
+        ),
     ] = None,
     off: Annotated[
-        float, typer.Option("--off-mm", help="Farthest a contact may lie off the wall.", min=0.0)
+        float,
+        typer.Option("--off-mm", help="Largest distance of a contact from the wall, mm.", min=0.0),
     ] = 2.0,
     keep: Annotated[
-        Keep, typer.Option(help="The network's inputs alone, all markers, or the frames as well.")
+        Keep,
+        typer.Option(
+            help="What to keep: inputs of the network, points (all markers), or frames as well."
+        ),
     ] = "points",
     skip_bad: Annotated[
         bool, typer.Option("--skip-bad", help="Leave samples with problems out.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Read your own rig: a log of contacts, and images or video, as a data set."""
+    """Make a data set from your own rig: a log of contacts, and images or video."""
     from phytac_design.design.design_file import load_design
     from phytac_design.workflows.import_rig import ImportSettings, import_rig
 

@@ -35,7 +35,7 @@ def live(
     source: SourceArgument,
     fps: FpsOption = None,
     port: Annotated[
-        int, typer.Option(help="Port of this machine; 0 takes a free one.", min=0, max=65535)
+        int, typer.Option(help="Port of this machine; 0 chooses a free one.", min=0, max=65535)
     ] = 8057,
     estimator: EstimatorOption = None,
     rest: RestOption = None,

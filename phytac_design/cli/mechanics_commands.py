@@ -32,17 +32,22 @@ def press(
     at: AtOption = "",
     radius: RadiusOption = None,
     theory: Annotated[
-        Theory, typer.Option(help="auto takes large displacements where linear is too far off.")
+        Theory,
+        typer.Option(
+            help="Theory; auto uses large displacements where linear theory is not accurate enough."
+        ),
     ] = "auto",
     tolerance: Annotated[float, typer.Option(help="Accepted error of linear theory, %.")] = 5.0,
     refine: RefineOption = 4,
     receptors: Annotated[
-        bool, typer.Option(help="Give the wall the stiffness of its tubes and holes.")
+        bool, typer.Option(help="Include the stiffness of tubes and holes in the wall.")
     ] = True,
-    vtu: Annotated[Path | None, typer.Option(help="Moved mesh to write, for ParaView.")] = None,
+    vtu: Annotated[
+        Path | None, typer.Option(help="File for the displaced mesh, for ParaView.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Press on the shell with a force: motion, theory used, and estimated errors."""
+    """Press on the shell with a force; print motion, theory used and estimated errors."""
     from phytac_design.design.design_file import load_design
     from phytac_design.layout.sensor import Sensor
     from phytac_design.mechanics.pressing import press as mechanics
@@ -77,18 +82,25 @@ def mesh(
     design: DesignArgument,
     out: Annotated[Path, typer.Option(callback=check_out, help="Folder for the files.")],
     solid: Annotated[
-        bool, typer.Option(help="Also the true CAD as quadratic tetrahedra (gmsh; minutes).")
+        bool,
+        typer.Option(
+            help="Also mesh the exact CAD solid with quadratic tetrahedra (gmsh; takes minutes)."
+        ),
     ] = False,
-    formats: Annotated[str, typer.Option(help="Of inp, msh, vtu, comma separated.")] = (
+    formats: Annotated[str, typer.Option(help="File formats: inp, msh, vtu, comma separated.")] = (
         "inp,msh,vtu"
     ),
-    force: Annotated[float, typer.Option(help="Force of the ready load step, N, inward.")] = 10.0,
+    force: Annotated[
+        float, typer.Option(help="Force of the load step in the file, N, inward.")
+    ] = 10.0,
     at: AtOption = "",
     radius: RadiusOption = None,
     refine: RefineOption = 4,
     size: Annotated[
         float | None,
-        typer.Option(help="Factor on the solid's element sizes; by the sensor if not given."),
+        typer.Option(
+            help="Factor on the solid's element sizes; chosen for the sensor if not given."
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -124,11 +136,16 @@ def mesh(
 def calibrate(
     design: DesignArgument,
     measurements: Annotated[Path, typer.Argument(help="CSV of forces and displacements.")],
-    fix: Annotated[list[Parameter] | None, typer.Option(help="Known: stays as designed.")] = None,
-    limit: Annotated[float, typer.Option(help="Widest ± accepted.", min=0.001, max=1.0)] = 0.1,
+    fix: Annotated[
+        list[Parameter] | None, typer.Option(help="Parameter that is known and stays as designed.")
+    ] = None,
+    limit: Annotated[
+        float,
+        typer.Option(help="Largest relative uncertainty (±) that is accepted.", min=0.001, max=1.0),
+    ] = 0.1,
     accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = "standard",
     out: Annotated[
-        Path | None, typer.Option(callback=check_out, help="Design file to write, calibrated.")
+        Path | None, typer.Option(callback=check_out, help="Calibrated design file to write.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -21,7 +21,7 @@ def new(
     context: typer.Context,
     name: Annotated[
         str,
-        typer.Argument(help="Name of the new design; in a terminal, without it, questions follow."),
+        typer.Argument(help="Name of the new design. Without it, a terminal asks questions."),
     ] = "",
     source: Annotated[
         str,
@@ -35,13 +35,17 @@ def new(
         Path | None, typer.Option(callback=check_out, help="File to write; NAME.toml if not given.")
     ] = None,
     from_step: Annotated[
-        Path | None, typer.Option(help="STEP file: a patch design of one of its faces.")
+        Path | None, typer.Option(help="STEP file; the design is a patch on one of its faces.")
     ] = None,
     face: Annotated[
-        int | None, typer.Option(help="Number of the face, from 0; the largest if not given.")
+        int | None, typer.Option(help="Number of the face, from 0; the largest face if not given.")
     ] = None,
-    rows: Annotated[int, typer.Option(help="Points taken along the face.", min=2, max=200)] = 9,
-    columns: Annotated[int, typer.Option(help="Points taken across it.", min=2, max=200)] = 9,
+    rows: Annotated[
+        int, typer.Option(help="Number of points sampled along the face.", min=2, max=200)
+    ] = 9,
+    columns: Annotated[
+        int, typer.Option(help="Number of points sampled across the face.", min=2, max=200)
+    ] = 9,
     full: Annotated[
         bool,
         typer.Option(

@@ -15,7 +15,10 @@ def paints(
         str, typer.Argument(help="A shipped design or the path of a file.")
     ] = "cylinder60",
     colours: Annotated[
-        str, typer.Option(help="Paints in the photo, with commas; the design's markers if empty.")
+        str,
+        typer.Option(
+            help="Paints in the photo, comma separated; those of the design's markers if empty."
+        ),
     ] = "",
     as_json: JsonOption = False,
 ) -> None:

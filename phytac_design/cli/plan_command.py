@@ -20,10 +20,10 @@ def plan(
         str, typer.Argument(help="A shipped scene or a file: fingertip, grip5, occlusion, …")
     ] = "",
     accuracy: Annotated[
-        Preset, typer.Option(help="Settings that the scene starts from.")
+        Preset, typer.Option(help="Preset whose settings the scene starts from.")
     ] = "standard",
     build: Annotated[
-        bool, typer.Option("--build", help="Build it, and compare the plan with the result.")
+        bool, typer.Option("--build", help="Build the plan, and compare it with the result.")
     ] = False,
     out: Annotated[
         Path | None,
@@ -38,7 +38,7 @@ def plan(
     force: Annotated[bool, typer.Option(help="Overwrite another design's folder.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a scene models of a design, at which resolution, why and at what cost."""
+    """Show what a scene models of a design, at which resolution, for which reason and cost."""
     from phytac_design.design.accuracy import PRESETS
     from phytac_design.design.design_file import load_design
     from phytac_design.design.scene import Scene, load_scene

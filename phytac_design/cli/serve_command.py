@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
     Recorders = dict[Path, MessageRecorder]
 
-BundleArgument = Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")]
+BundleArgument = Annotated[
+    Path, typer.Argument(help="Folder of a decoder, such as exports/NAME/decoder.")
+]
 SourceArgument = Annotated[
     list[str],
     typer.Argument(
@@ -33,13 +35,13 @@ SourceArgument = Annotated[
 ]
 FpsOption = Annotated[
     float | None,
-    typer.Option(
-        help="Play a recording at this rate, as a camera would; set the rate of a camera."
-    ),
+    typer.Option(help="Rate at which a recording is played, or that a camera is set to."),
 ]
 EstimatorOption = Annotated[
     str | None,
-    typer.Option(help="Force estimator; auto, or koi_inverse without its tables, if not given."),
+    typer.Option(
+        help="Force estimator. If not given: auto, or koi_inverse if the bundle has no tables."
+    ),
 ]
 RestOption = Annotated[
     list[Path] | None,
@@ -71,12 +73,15 @@ DriftOption = Annotated[
 ]
 RestFirstOption = Annotated[
     int,
-    typer.Option(help="So many frames at the beginning show the unloaded sensor.", min=0, max=1000),
+    typer.Option(
+        help="Number of frames at the beginning that show the unloaded sensor.", min=0, max=1000
+    ),
 ]
 FollowOption = Annotated[
     bool,
     typer.Option(
-        "--follow", help="Follow markers from frame to frame, from the unloaded sensor on: faster."
+        "--follow",
+        help="Track markers from frame to frame, starting with the unloaded sensor: faster.",
     ),
 ]
 ControlOption = Annotated[
@@ -97,7 +102,7 @@ RecordRegionsOption = Annotated[
     Path | None, typer.Option(help="CSV of the regions' forces to write, one row per frame.")
 ]
 EveryOption = Annotated[
-    bool, typer.Option("--every", help="Leave out no frame of a recording that is late.")
+    bool, typer.Option("--every", help="Decode every frame of a recording, also late ones.")
 ]
 LoopOption = Annotated[bool, typer.Option("--loop", help="Play a recording over and over.")]
 RegionsOption = Annotated[
@@ -116,7 +121,9 @@ MomentAboutOption = Annotated[
 ]
 DesignOption = Annotated[
     str | None,
-    typer.Option(help="The design, for regions by rows or shares; the build's if not given."),
+    typer.Option(
+        help="Design file, for regions by rows or shares; that of the build if not given."
+    ),
 ]
 
 
@@ -127,14 +134,17 @@ def serve(
     bundle: BundleArgument,
     source: SourceArgument,
     fps: FpsOption = None,
-    port: Annotated[int, typer.Option(help="TCP port; 0 takes a free one.", min=0, max=65535)] = (
+    port: Annotated[int, typer.Option(help="TCP port; 0 chooses a free one.", min=0, max=65535)] = (
         5757
     ),
     host: Annotated[
         str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")
     ] = "127.0.0.1",
     framing: Annotated[
-        Framing, typer.Option("--format", help="JSON lines, or each message after its length.")
+        Framing,
+        typer.Option(
+            "--format", help="Framing of messages: one JSON line each, or each after its length."
+        ),
     ] = "lines",
     estimator: EstimatorOption = None,
     rest: RestOption = None,
@@ -159,7 +169,7 @@ def serve(
     every: EveryOption = False,
     loop: LoopOption = False,
     wait: Annotated[
-        bool, typer.Option("--wait", help="Begin when the first client has connected.")
+        bool, typer.Option("--wait", help="Start when the first client has connected.")
     ] = False,
 ) -> None:
     """Stream forces to robots, Unity or ROS over TCP, until the source ends or Ctrl-C."""
@@ -255,11 +265,13 @@ def serve(
 
 
 def convert(
-    recording: Annotated[Path, typer.Argument(help="CSV of `phytac serve --record`, or any.")],
+    recording: Annotated[
+        Path, typer.Argument(help="CSV of `phytac serve --record`, or any other CSV.")
+    ],
     target: Annotated[Path, typer.Argument(help="Parquet file to make.")],
     force: Annotated[bool, typer.Option(help="Overwrite the file.")] = False,
 ) -> None:
-    """Turn a recording into Parquet, its columns with their types."""
+    """Convert a recording to Parquet, with a type for each column."""
     from phytac_design.core.parquet_recording import to_parquet
 
     rows, columns = to_parquet(recording, target, force=force, report=say)

@@ -34,22 +34,27 @@ def simulate(
     accuracy: Annotated[Preset, typer.Option(help="Fineness of the simulated wall.")] = "standard",
     route: Annotated[
         Route | None,
-        typer.Option(help="Projected points or rendered frames; the scenario's if not given."),
+        typer.Option(help="Projected points or rendered frames; as in the scenario if not given."),
     ] = None,
     displacement: Annotated[
         Displacement | None,
-        typer.Option(help="Theory of the wall; the scenario's if not given."),
+        typer.Option(help="Theory of the wall; as in the scenario if not given."),
     ] = None,
     keep: Annotated[
         Keep,
-        typer.Option(help="The network's inputs alone, all markers, or the frames as well."),
+        typer.Option(
+            help="What to keep: inputs of the network, points (all markers), or frames as well."
+        ),
     ] = "points",
     unit: Annotated[
         int | None,
-        typer.Option(min=0, help="0: as designed; k: the k-th virtual print; the scenario's."),
+        typer.Option(
+            min=0,
+            help="0: the design itself; k: the k-th virtual print; as in the scenario by default.",
+        ),
     ] = None,
     samples: Annotated[
-        int | None, typer.Option(min=1, help="Samples; the scenario's if not given.")
+        int | None, typer.Option(min=1, help="Number of samples; as in the scenario if not given.")
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, max=256, help="Processes; one for each core if not given.")

@@ -15,7 +15,7 @@ def studio(
         str, typer.Argument(help="A shipped design or the path of a design file.")
     ] = "cylinder60",
     port: Annotated[
-        int, typer.Option(help="Port of this machine; 0 takes a free one.", min=0, max=65535)
+        int, typer.Option(help="Port of this machine; 0 chooses a free one.", min=0, max=65535)
     ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")

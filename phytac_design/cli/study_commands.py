@@ -20,16 +20,17 @@ OutOption = Annotated[
     typer.Option(callback=check_out, help="The study's own folder; studies/NAME if not given."),
 ]
 WorkersOption = Annotated[
-    int, typer.Option(min=0, help="Worker processes on this machine; 0 for none.")
+    int, typer.Option(min=0, help="Worker processes on this machine; 0 runs without any.")
 ]
 SchedulerOption = Annotated[
-    str, typer.Option(help="Address of a running Dask scheduler, as tcp://host:8786.")
+    str, typer.Option(help="Address of a running Dask scheduler, such as tcp://host:8786.")
 ]
 CandidatesOption = Annotated[
-    int | None, typer.Option(min=1, help="Replaces the study's budget.candidates.")
+    int | None,
+    typer.Option(min=1, help="Number of candidates, in place of the study's budget.candidates."),
 ]
 SecondsOption = Annotated[
-    float | None, typer.Option(min=0.0, help="Replaces the study's budget.seconds.")
+    float | None, typer.Option(min=0.0, help="Seconds, in place of the study's budget.seconds.")
 ]
 
 
@@ -63,7 +64,10 @@ def optimise(
     candidates: CandidatesOption = None,
     seconds: SecondsOption = None,
     storage: Annotated[
-        str, typer.Option(help="Database URL of Optuna's trials; a file in the folder.")
+        str,
+        typer.Option(
+            help="Database URL of Optuna's trials; a file in the study's folder if not given."
+        ),
     ] = "",
     as_json: JsonOption = False,
 ) -> None:

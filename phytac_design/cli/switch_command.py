@@ -36,10 +36,13 @@ def switch(
     ] = None,
     law: Annotated[str, typer.Option(help="For --test: neo-hookean, yeoh or ogden.")] = "yeoh",
     wall_min: Annotated[
-        float | None, typer.Option("--wall-min-mm", help="Thinnest wall that the mold casts.")
+        float | None, typer.Option("--wall-min-mm", help="Thinnest wall that the mold can cast.")
     ] = None,
     tolerance: Annotated[
-        float | None, typer.Option("--tolerance-mm", help="± of the wall, at two deviations.")
+        float | None,
+        typer.Option(
+            "--tolerance-mm", help="Tolerance of the wall, ±, at two standard deviations."
+        ),
     ] = None,
     family: Annotated[
         str | None,
@@ -51,7 +54,7 @@ def switch(
     molds: Annotated[
         Path | None,
         typer.Option(
-            help="With --family: folder for the recommended membrane's or plunger's molds."
+            help="Folder for the molds of the recommended membrane or plunger; with --family."
         ),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Force–stroke curve to write, SVG.")] = None,

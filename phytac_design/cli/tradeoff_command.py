@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 def tradeoff(
     design: DesignArgument,
     only: Annotated[
-        str, typer.Option(help="Settings, comma separated, or `joint` for the whole build; all.")
+        str,
+        typer.Option(
+            help="Settings, comma separated, or `joint` for the whole build; all if not given."
+        ),
     ] = "",
     out: Annotated[
         Path | None,
@@ -23,7 +26,7 @@ def tradeoff(
             callback=check_out, help="The result's own folder; exports/NAME-tradeoff if not given."
         ),
     ] = None,
-    quick: Annotated[bool, typer.Option(help="Few joint settings.")] = False,
+    quick: Annotated[bool, typer.Option(help="Measure only few joint settings.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Measure time, memory and error of every setting, and the fronts of the whole build.

@@ -25,11 +25,11 @@ def train(
     ] = None,
     samples: Annotated[
         int | None,
-        typer.Option(min=1, help="Number of samples to use, the first ones; all if not given."),
+        typer.Option(min=1, help="Number of samples to use, from the first; all if not given."),
     ] = None,
     start: Annotated[
         Path | None,
-        typer.Option(help="Another sensor's decoder, whose network weights are the start."),
+        typer.Option(help="Decoder of another sensor; training starts from its network weights."),
     ] = None,
     accuracy: Annotated[
         Preset, typer.Option(help="Fineness of the decoder's own mechanics.")
@@ -77,7 +77,9 @@ def train(
 
 
 def evaluate(
-    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
+    bundle: Annotated[
+        Path, typer.Argument(help="Folder of a decoder, such as exports/NAME/decoder.")
+    ],
     data: DataArgument,
     out: Annotated[
         Path | None,
@@ -88,7 +90,7 @@ def evaluate(
     design: Annotated[
         str | None,
         typer.Option(
-            help="The decoder's design, for heights and sides; searched for if not given."
+            help="Design of the decoder, for heights and sides; searched for if not given."
         ),
     ] = None,
     seed: SeedOption = 0,
@@ -160,14 +162,16 @@ def _interval(measure: dict[str, Any], factor: float, digits: int) -> str:
 
 
 def export_onnx(
-    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
+    bundle: Annotated[
+        Path, typer.Argument(help="Folder of a decoder, such as exports/NAME/decoder.")
+    ],
     out: Annotated[Path, typer.Argument(help="File to write, such as network.onnx.")],
     estimator: Annotated[
-        str, typer.Option(help="Whose network: fem_nn or fem_nn_identity.")
+        str, typer.Option(help="Estimator whose network is written: fem_nn or fem_nn_identity.")
     ] = "fem_nn",
     as_json: JsonOption = False,
 ) -> None:
-    """Write a decoder's network as ONNX, checked equal to the decoder's own."""
+    """Write a decoder's network as ONNX, and check that it equals the decoder's own."""
     from phytac_design.training.onnx_export import INPUT, OPSET, OUTPUT
     from phytac_design.training.onnx_export import export_onnx as run
 

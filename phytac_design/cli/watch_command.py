@@ -65,9 +65,12 @@ def watch(
         typer.Option(callback=check_out, help="The build's own folder; exports/NAME if not given."),
     ] = None,
     accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = "draft",
-    only: Annotated[str, typer.Option(help="Stages, comma separated, with what they need.")] = "",
+    only: Annotated[
+        str, typer.Option(help="Stages to run, comma separated; the stages that they need run too.")
+    ] = "",
     workers: Annotated[
-        int | None, typer.Option(help="As of phytac build; as many as cores if not given.", min=1)
+        int | None,
+        typer.Option(help="Processes, as of phytac build; one for each core if not given.", min=1),
     ] = None,
     seed: SeedOption = 0,
 ) -> None:
