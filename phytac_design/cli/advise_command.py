@@ -11,7 +11,7 @@ from phytac_design.cli.output import names_of, print_json, resumable
 
 def advise(
     design: DesignArgument,
-    accuracy: Annotated[Preset, typer.Option(help="Fineness of mechanics.")] = "draft",
+    accuracy: Annotated[Preset, typer.Option(help="Preset for the mechanics.")] = "draft",
     settings: Annotated[
         list[str] | None,
         typer.Option(

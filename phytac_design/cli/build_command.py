@@ -31,7 +31,8 @@ def build(
         typer.Option(callback=check_out, help="The build's own folder; exports/NAME if not given."),
     ] = None,
     accuracy: Annotated[
-        Preset | None, typer.Option(help="Speed against accuracy; standard if not given.")
+        Preset | None,
+        typer.Option(help="Preset, a trade of speed against accuracy; standard if not given."),
     ] = None,
     settings: Annotated[
         list[str] | None,

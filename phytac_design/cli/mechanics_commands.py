@@ -22,7 +22,7 @@ RadiusOption = Annotated[
     ),
 ]
 RefineOption = Annotated[
-    int, typer.Option(help="Shell elements per marker pitch around.", min=1, max=32)
+    int, typer.Option(help="Number of shell elements per marker pitch.", min=1, max=32)
 ]
 
 
@@ -143,7 +143,9 @@ def calibrate(
         float,
         typer.Option(help="Largest relative uncertainty (±) that is accepted.", min=0.001, max=1.0),
     ] = 0.1,
-    accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = "standard",
+    accuracy: Annotated[
+        Preset, typer.Option(help="Preset, a trade of speed against accuracy.")
+    ] = "standard",
     out: Annotated[
         Path | None, typer.Option(callback=check_out, help="Calibrated design file to write.")
     ] = None,

@@ -87,9 +87,8 @@ FollowOption = Annotated[
 ControlOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Lock a camera's setting at a value, as exposure=156 (of gain, white_balance, focus "
-        "too), leave it automatic (focus=auto), or choose format=raw or format=mjpg; may be "
-        "repeated."
+        help="Setting of a camera: a locked value (exposure=156; also gain, white_balance, focus), "
+        "automatic (focus=auto), or the format (format=raw or format=mjpg). May be repeated."
     ),
 ]
 RecordOption = Annotated[

@@ -31,7 +31,9 @@ def simulate(
             help="The data set's own folder; exports/DESIGN-SCENARIO if not given.",
         ),
     ] = None,
-    accuracy: Annotated[Preset, typer.Option(help="Fineness of the simulated wall.")] = "standard",
+    accuracy: Annotated[
+        Preset, typer.Option(help="Preset for the mesh of the simulated wall.")
+    ] = "standard",
     route: Annotated[
         Route | None,
         typer.Option(help="Projected points or rendered frames; as in the scenario if not given."),

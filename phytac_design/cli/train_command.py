@@ -32,7 +32,7 @@ def train(
         typer.Option(help="Decoder of another sensor; training starts from its network weights."),
     ] = None,
     accuracy: Annotated[
-        Preset, typer.Option(help="Fineness of the decoder's own mechanics.")
+        Preset, typer.Option(help="Preset for the decoder's own mechanics.")
     ] = "standard",
     seed: SeedOption = 0,
     force: Annotated[

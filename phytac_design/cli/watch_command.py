@@ -64,7 +64,9 @@ def watch(
         Path | None,
         typer.Option(callback=check_out, help="The build's own folder; exports/NAME if not given."),
     ] = None,
-    accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = "draft",
+    accuracy: Annotated[
+        Preset, typer.Option(help="Preset, a trade of speed against accuracy.")
+    ] = "draft",
     only: Annotated[
         str, typer.Option(help="Stages to run, comma separated; the stages that they need run too.")
     ] = "",
