@@ -26,7 +26,7 @@ DesignArgument = Annotated[
     str,
     typer.Argument(help="A shipped design or the path of a file.", autocompletion=complete_design),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**31 - 1)]
 
 

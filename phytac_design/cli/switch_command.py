@@ -47,8 +47,8 @@ def switch(
     family: Annotated[
         str | None,
         typer.Option(
-            help="Compare bowl, membrane or plunger, or auto for all; of all rubbers if none is "
-            "given. Minutes; smallest spread of the threshold first."
+            help="Family to compare: bowl, membrane, plunger, or auto for all. All rubbers are "
+            "compared if none is given. Takes minutes; the smallest spread comes first."
         ),
     ] = None,
     molds: Annotated[
@@ -63,7 +63,7 @@ def switch(
     """Design the threshold switch: a soft bowl that snaps at the given force.
 
     Missing options come from the switch table of the design. With --family it compares families of
-    switches by the spread of their threshold; builds make bowls.
+    switches by the spread of their threshold. A build makes bowls only.
     """
     from phytac_design.design.design_file import load_design
     from phytac_design.mechanics.switch.design import design_switch
