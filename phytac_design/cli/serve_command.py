@@ -60,8 +60,8 @@ StiffnessOption = Annotated[
 MountOption = Annotated[
     Literal["rigid", "bench", "handheld"],
     typer.Option(
-        help="How firmly the camera is held against the shell; its motion since the rest frame is "
-        "estimated within that."
+        help="How firmly the camera is held against the shell. This limits the motion since the "
+        "rest frame that is corrected."
     ),
 ]
 DriftOption = Annotated[
