@@ -1,6 +1,6 @@
 """Pages that people read: the report, comparisons, the studio; malformed files and disturbed runs.
 
-``python -m benchmarks.page [--quick] [--parts report,compare,help,studio,fuzz,faults]``
+``python -m benchmarks.page [--quick] [--parts report,compare,help,checks,studio,fuzz,faults]``
 """
 
 import json
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from benchmarks import page_studio
+from benchmarks import page_checks, page_studio
 from benchmarks.harness import Table, median_of, run_parts
 from benchmarks.page_browser import DESKTOP, PHONE, PageMetrics, chromium, inspect, shown
 from phytac_design.design.design_file import load_design
@@ -178,6 +178,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "report": report,
         "compare": compare,
         "help": help_time,
+        "checks": page_checks.checks,
         "studio": page_studio.studio,
         "fuzz": fuzz,
         "faults": faults,
