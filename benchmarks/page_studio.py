@@ -63,7 +63,7 @@ def running(root: Path) -> Iterator[str]:
 
 
 def studio(table: Table, quick: bool) -> None:
-    """Move controls of `cylinder60`, save it, build a draft; errors and requests of the page."""
+    """Use the studio on `cylinder60`: move, repair, save, build; errors and foreign requests."""
     with (
         tempfile.TemporaryDirectory() as name,
         running(Path(name)) as url,
@@ -71,12 +71,18 @@ def studio(table: Table, quick: bool) -> None:
     ):
         start = time.perf_counter()
         with opened(browser, url, DESKTOP) as (page, seen):
+            page.locator("body[data-drafts]").wait_for()
+            row = "studio: from the page's address to its first picture"
+            source = "project target; the first start, compiled loops loaded on the way"
+            table.add(row, time.perf_counter() - start, "s", 2, source, "<= 2")
             _state(page, "checked")
             row = "studio: from the page's address to the first checked design"
             source = "cylinder60, compiled loops loaded on the way"
             table.add(row, time.perf_counter() - start, "s", "none", source)
             _moves(table, page, 12 if quick else 60)
             _drags(table, page, 3 if quick else 10)
+            _repair(table, page)
+            _shapes(table, page)
             # Back to a design that every stage of a build accepts.
             page.evaluate("while (studio.model.past.length) studio.model.undo()")
             page.evaluate("studio.model.set('layout.spiral_angle_deg', 50)")
@@ -131,6 +137,37 @@ def _drags(table: Table, page: Any, drags: int) -> None:
     row = "studio: drafts drawn during such a drag, mean"
     source = "same drags; a later move takes an earlier one's place"
     table.add(row, float(np.mean(drawn)), "drafts", "none", source)
+
+
+def _repair(table: Table, page: Any) -> None:
+    """Break a rule, press the button, apply what it finds."""
+    page.evaluate("studio.model.set('camera.stand_off_mm', 3)")
+    _state(page, "refused")
+    start = time.perf_counter()
+    page.get_by_role("button", name="Find a repair").click()
+    page.get_by_role("button", name="Apply").click()
+    took = time.perf_counter() - start
+    _state(page, "checked")
+    fixed = page.locator("#verdict.bad").count() == 0
+    row = "studio: camera too close, the button's change repairs it"
+    table.add(row, int(fixed), "", 1, f"found and applied in {took:.1f} s", "== 1")
+
+
+def _shapes(table: Table, page: Any) -> None:
+    """Choose each shape; its example's table takes the shape's place, and is drawn."""
+    shapes = page.locator("[data-path='shape.kind'] select")
+    kinds = [option for option in shapes.locator("option").all_inner_texts() if option]
+    good = []
+    for kind in kinds:
+        page.evaluate("while (studio.model.past.length) studio.model.undo()")
+        _state(page, "checked")
+        if page.evaluate("studio.model.value('shape').kind") != kind:
+            shapes.select_option(kind)
+        page.locator("body[data-state='checked'], body[data-state='refused']").wait_for()
+        good += [kind] * (page.locator("#verdict.bad").count() == 0)
+    row = "studio: shapes that can be built as soon as they are chosen"
+    note = "not: " + (", ".join(kind for kind in kinds if kind not in good) or "none")
+    table.add(row, len(good), "shapes", len(kinds), "all", f">= {len(kinds)}", note)
 
 
 def _save(table: Table, page: Any, root: Path) -> None:

@@ -114,10 +114,10 @@ def test_a_quick_repair_passes_the_check() -> None:
     assert not seen_at_rest(check_design(design)).clear.all()
     found = quick_repair(design)
     assert found is not None
-    words, changed = found
-    assert words.startswith("light.bar_radius_mm 10.5 → 8.5 mm")
-    assert changed.light.bar_radius_mm == 8.5
-    assert checkup(changed)["clear"]
+    assert found.words.startswith("light.bar_radius_mm 10.5 → 8.5 mm")
+    assert found.fields == {"light.bar_radius_mm": 8.5}
+    assert found.design.light.bar_radius_mm == 8.5
+    assert checkup(found.design)["clear"]
     # Without time nothing is tried.
     assert quick_repair(design, seconds=-1.0) is None
 
@@ -133,8 +133,18 @@ def test_an_angle_or_a_camera_with_more_pixels_separates_fused_markers() -> None
         assert not seen_at_rest(check_design(design)).clear.all()
         found = quick_repair(design)
         assert found is not None
-        assert found[0].startswith(wanted)
-        assert checkup(found[1])["clear"]
+        assert found.words.startswith(wanted)
+        assert checkup(found.design)["clear"]
+
+
+def test_a_broken_rule_is_repaired_as_well() -> None:
+    found = quick_repair(small(camera={**COARSE, "stand_off_mm": 3.0}))
+    assert found is not None
+    assert found.fields == {"camera.stand_off_mm": "fit"}
+    rows = quick_repair(small(layout={"rows": 14}, camera=COARSE))
+    assert rows is not None
+    assert set(rows.fields) == {"layout.rows"}
+    assert checkup(rows.design)["clear"]
 
 
 def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
@@ -176,7 +186,7 @@ def test_no_repair_is_looked_for_without_end_or_for_a_wrong_unit(
             with contextlib.suppress(Exception):
                 time.sleep(0.01)
 
-    monkeypatch.setattr("phytac_design.study.advice.advise.advise", forever)
+    monkeypatch.setattr("phytac_design.study.advice.quick_repair.quick_repair", forever)
     monkeypatch.setattr(check_command, "LOOK_S", 0.1)
     path = tmp_path / "mine.toml"
     before = signal.getsignal(signal.SIGALRM)

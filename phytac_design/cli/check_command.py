@@ -170,9 +170,7 @@ def _verdict(report: dict[str, Any], *, visible: bool) -> str:
 def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
     """Name a change that repairs the design, if one is found soon; else point to ``advise``."""
     markers_max = 1000  # more take longer than a reader of the faults waits
-    from phytac_design.design.accuracy import PRESETS
     from phytac_design.design.design_file import load_design
-    from phytac_design.study.advice.advise import advise
     from phytac_design.study.advice.quick_repair import quick_repair
 
     design = load_design(name)
@@ -184,12 +182,8 @@ def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
     with resumable("stopped looking"):
         try:
             with time_limit(LOOK_S):
-                if refused:
-                    pieces = advise(design, PRESETS["draft"], checks=2, seed=seed).pieces
-                    words = pieces[0].words if pieces else ""
-                else:
-                    found = quick_repair(design, seed=seed)
-                    words = found[0] if found else ""
+                found = quick_repair(design, seed=seed)
+                words = found.words if found else ""
         except PhytacError:
             # Such as markers that cannot even be placed.
             words = ""

@@ -33,6 +33,10 @@ WHEN: dict[str, tuple[str, tuple[str, ...]]] = {
 """Fields that apply only if another one has one of some values."""
 
 
+OF_SHAPE = ("shape", "layout", "receptor", "switch", "light")
+"""Tables that another surface family brings with it: a layout for one seldom fits another."""
+
+
 def form() -> Json:
     """Tables and their fields, as the page shows them.
 
@@ -40,9 +44,8 @@ def form() -> Json:
     -------
     dict
         ``tables``: in order, each with ``name``, ``doc`` and ``fields``; ``shapes``: the fields of
-        each surface family; ``examples``: a shape table of each family, from a shipped design;
-        ``when`` and ``sets``: see ``WHEN``, and the fields whose
-        values a preset replaces.
+        each surface family; ``examples``: the tables ``OF_SHAPE`` of each family, from a shipped
+        design; ``when`` and ``sets``: see ``WHEN``, and the fields whose values a preset replaces.
     """
     schema = Design.model_json_schema()
     parts, top = schema["$defs"], schema["properties"]
@@ -51,7 +54,8 @@ def form() -> Json:
     names = [name for name in top if name not in {*first, "name", "description"}]
     examples: Json = {}
     for design in map(load_design, shipped_designs()):
-        examples.setdefault(design.shape.kind, design.shape.model_dump(mode="json"))
+        tables = design.model_dump(mode="json", include=set(OF_SHAPE))
+        examples.setdefault(design.shape.kind, tables)
     return {
         "head": [_field(name, "", top[name], parts) for name in ("name", "description")],
         "tables": [_table(name, top[name], parts) for name in [*first, *names]],

@@ -28,6 +28,7 @@ from phytac_design.studio.form import error_body, field_paths, form
 from phytac_design.studio.latest_only import LatestOnlyExecutor, SupersededError
 from phytac_design.studio.request_bodies import parse
 from phytac_design.studio.studies import studies, study_table, trial_design
+from phytac_design.study.advice.quick_repair import quick_repair
 from phytac_shapes.errors import DesignError, InputError, OutputError, PhytacError
 
 Json = dict[str, Any]
@@ -66,6 +67,7 @@ class Studio:
             "/api/open": (bodies.OpenRequest, self.open),
             "/api/draft": (bodies.DraftRequest, self.draft),
             "/api/check": (bodies.CheckRequest, self.check),
+            "/api/repair": (bodies.CheckRequest, self.repair),
             "/api/text": (bodies.DesignRequest, self.text),
             "/api/save": (bodies.SaveRequest, self.save),
             "/api/build": (bodies.BuildRequest, self.build),
@@ -148,6 +150,16 @@ class Studio:
         return await self.checks.run(
             body.tab, lambda _: exact(self.project.design_of(body.data, body.source))
         )
+
+    async def repair(self, body: bodies.CheckRequest) -> Json:
+        """A change after which the design passes the check; no words if none was found."""
+
+        def work(check: Callable[[], None]) -> Json:
+            design = self.project.design_of(body.data, body.source)
+            found = quick_repair(design, progress=lambda _: check())
+            return {"words": found.words, "fields": found.fields} if found else {"words": ""}
+
+        return await self.checks.run(body.tab, work)
 
     async def text(self, body: bodies.DesignRequest) -> Json:
         """TOML of a design, as it would be saved."""

@@ -155,13 +155,13 @@ def test_errors_go_to_the_controls_they_name() -> None:
 def test_the_form_has_every_field_of_the_model() -> None:
     made, paths = form(), set(field_paths())
     for kind, example in made["examples"].items():
-        design = parse_design({"name": "x", "shape": example}, "")
+        design = parse_design({"name": "x", **example}, "")
         for table, values in design.model_dump().items():
             own = {f"{table}.{key}" for key in values} if isinstance(values, dict) else {table}
             assert own <= paths
-        assert {f["path"] for f in made["shapes"][kind]} == {f"shape.{k}" for k in example} - {
-            "shape.kind"
-        }
+        assert {f["path"] for f in made["shapes"][kind]} == {
+            f"shape.{k}" for k in example["shape"]
+        } - {"shape.kind"}
     alpha = next(
         f for t in made["tables"] for f in t["fields"] if f["path"] == "layout.spiral_angle_deg"
     )

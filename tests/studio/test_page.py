@@ -144,6 +144,24 @@ def test_a_broken_rule_stands_beside_its_control(seen: Seen) -> None:
     assert columns.get_attribute("aria-invalid") is None
 
 
+def test_a_repair_is_found_and_applied(seen: Seen) -> None:
+    page = seen.page
+    page.evaluate("studio.model.set('camera.stand_off_mm', 3)")
+    seen.reached("refused")
+    page.get_by_role("button", name="Find a repair").click()
+    page.locator("#verdict", has_text="camera.stand_off_mm 3.0 → fit repairs it.").wait_for()
+    page.get_by_role("button", name="Apply").click()
+    seen.reached("checked")
+    assert page.locator("#repair").count() == 0
+    assert page.evaluate("studio.model.value('camera.stand_off_mm')") == "fit"
+    # One step to undo.
+    page.get_by_role("button", name="Undo").click()
+    assert page.evaluate("studio.model.value('camera.stand_off_mm')") == 3
+    seen.reached("refused")
+    page.get_by_role("button", name="Undo").click()
+    seen.reached("checked")
+
+
 def test_of_many_moves_the_last_one_counts(seen: Seen) -> None:
     page = seen.page
     slider = page.get_by_label("height far, slider")
@@ -170,6 +188,10 @@ def test_another_family_brings_its_own_controls(seen: Seen) -> None:
     assert page.get_by_label("diameter far (mm)", exact=True).is_visible()
     assert page.locator("[data-path='shape.diameter_outer_mm']").count() == 0
     assert page.locator("[data-path='layout.count']").is_hidden()
+    # Its layout comes with it, and works.
+    seen.reached("checked")
+    assert page.locator("#verdict.bad").count() == 0
+    assert page.evaluate("studio.model.value('layout.rows')") == load_design("cone").layout.rows
     page.get_by_role("button", name="Undo").click()
     page.get_by_label("diameter outer (mm)", exact=True).first.wait_for()
 

@@ -1,5 +1,5 @@
 // Drafts while controls move, a check when they stop. Only the newest request counts.
-import { post, Refused } from "./api.js";
+import { node, post, Refused } from "./api.js";
 
 const QUICK_MS = 500, REST_MS = 400;
 
@@ -10,6 +10,7 @@ export class Live {
     this.waiting = false;
     this.mean = 0;
     this.times = [];
+    views.repair = button => this.repair(button);
     model.addEventListener("change", event => {
       this.whole = this.whole || event.detail === "all";
       this.change();
@@ -86,6 +87,25 @@ export class Live {
       }
     } catch (error) {
       if (!own.signal.aborted) this.failed(error);
+    }
+  }
+
+  // Look for a change after which the design passes, and offer it.
+  async repair(button) {
+    button.disabled = true;
+    button.textContent = "Looking for a change that repairs this…";
+    try {
+      const found = await post("api/repair", this.body());
+      if (!found.words) {
+        button.replaceWith("No change of one field that was tried repairs this.");
+        return;
+      }
+      const apply = node("button", { type: "button", id: "apply-repair" }, "Apply");
+      apply.addEventListener("click", () => this.model.setAll(found.fields));
+      button.replaceWith(`${found.words} repairs it. `, apply);
+      apply.focus();
+    } catch (error) {
+      if (!error.stale) button.replaceWith(`No repair was found: ${error.message}`);
     }
   }
 

@@ -51,20 +51,31 @@ export class Model extends EventTarget {
   }
 
   set(path, value) {
-    const [table, key] = split(path);
     this.remember(path);
+    this.put(path, value);
+    this.notify(path);
+  }
+
+  // Several fields in one step to undo.
+  setAll(fields) {
+    this.remember("");
+    for (const [path, value] of Object.entries(fields)) this.put(path, value);
+    this.notify("all");
+  }
+
+  put(path, value) {
+    const [table, key] = split(path);
     const data = this.now.data;
     if (key) data[table] = { ...data[table], [key]: value };
     else data[table] = value;
     // A choice that sets other fields replaces their own values.
     for (const name of this.sets[path] || []) delete data[table][name];
-    this.notify(path);
   }
 
-  // Another surface family: its complete table, from an example.
-  shape(table) {
+  // Another surface family: an example's tables of shape, layout, receptors, switches and light.
+  shape(tables) {
     this.remember("");
-    this.now.data.shape = copy(table);
+    Object.assign(this.now.data, copy(tables));
     this.notify("all");
   }
 

@@ -140,7 +140,7 @@ export class Views {
   }
 
   // kind: wait, good, odd or bad; lines: [mark, text].
-  verdict(kind, head, lines, foot) {
+  verdict(kind, head, lines, foot, repair) {
     const root = by("verdict"), key = JSON.stringify([kind, head, lines, foot]);
     if (key === this.verdictKey) return;
     this.verdictKey = key;
@@ -150,6 +150,10 @@ export class Views {
       root.append(node("ul", {}, ...lines.map(([mark, text]) => node("li", { class: mark }, ...prose(text)))));
     }
     if (foot) root.append(node("p", { class: "foot" }, ...prose(foot)));
+    if (!repair) return;
+    const button = node("button", { type: "button", id: "repair" }, "Find a repair");
+    button.addEventListener("click", () => this.repair(button));
+    root.append(node("p", {}, button));
   }
 
   drafted(draft) {
@@ -158,7 +162,7 @@ export class Views {
     if (draft.refused) {
       lines.unshift(["bad", draft.refused]);
       this.verdict("bad", "This design cannot be built as it is.", lines,
-        "The views show it all the same.");
+        "The views show it all the same.", true);
       return;
     }
     const sum = hidden ? `${hidden} markers are hidden in a sample of rays.`
@@ -178,14 +182,14 @@ export class Views {
       lines.unshift(["bad", found.advice]);
       const { occluded, fused } = found.visibility;
       this.verdict("bad", `${occluded} markers are hidden, ${fused} fused.`, lines,
-        "As `phytac check` finds; red rings in the camera view.");
+        "As `phytac check` finds; red rings in the camera view.", true);
     }
     this.paint();
   }
 
   refused(text) {
     this.verdict("bad", "This design cannot be built as it is.", [["bad", text]],
-      this.draft ? "The views show the last design that could be drawn." : "");
+      this.draft ? "The views show the last design that could be drawn." : "", true);
     this.old(true);
   }
 

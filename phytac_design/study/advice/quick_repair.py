@@ -1,8 +1,9 @@
-"""One change after which every marker is visible at rest, in seconds: a start for ``advise``."""
+"""One change after which a design passes the check, in seconds: a start for ``advise``."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,9 @@ from phytac_design.optics.loaded_visibility import FUSED_PX
 from phytac_design.optics.render_scene import BAR
 from phytac_design.optics.visibility import FRACTION_MIN, Visibility, best_of, check_visibility
 from phytac_design.rules.check import check_design
-from phytac_design.study.advice.design_variables import variables_of, with_fields
+from phytac_design.study.advice.design_variables import Fields, variables_of, with_fields
 from phytac_design.study.search.fidelity_levels import outlined_gap_px, sampled_fractions
-from phytac_shapes.errors import PhytacError
+from phytac_shapes.errors import DesignError, PhytacError
 
 REMEDIES: dict[str, tuple[int, ...]] = {
     "light.bar_radius_mm": (-4, -8),
@@ -23,14 +24,38 @@ REMEDIES: dict[str, tuple[int, ...]] = {
     "layout.heights (all, times)": (-4, -8),
     "layout.height_exponent": (5, 10, 20),
     "camera.stand_off_mm": (6, 24),
-    "layout.columns": (-1, -2, -4),
-    "layout.rows": (-2, -4, -8),
+    "layout.columns": (-1, -2, -3, -4, -6),
+    "layout.rows": (-2, -4, -6, -8, -12, -16, -20, -24, -32),
     "layout.count": (-5, -15),
     "receptor.band_marker_mm": (-3,),
 }
 """Variables that clear markers, the cheapest for the sensor first, and numbers of their steps."""
+RULES: dict[str, tuple[int, ...]] = {
+    "receptor.diameter_outer_mm": (1, 2, -2, -4),
+    "wall.thickness_mm": (1, 2, 4, 8, -4),
+}
+"""Variables that are tried first where a rule is broken."""
 MORE_PIXELS = (1.5, 2.0, 3.0)
 """Cameras with this many times the pixels along each side are tried after the variables."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repair:
+    """A change after which a design passes the check.
+
+    Attributes
+    ----------
+    words : str
+        The change for a reader.
+    fields : dict
+        New values by TABLE.FIELD.
+    design : Design
+        The changed design.
+    """
+
+    words: str
+    fields: dict[str, Any]
+    design: Design
 
 
 def seen_at_rest(sensor: Sensor, *, seed: int = 0) -> Visibility:
@@ -45,8 +70,8 @@ def quick_repair(
     seed: int = 0,
     seconds: float = 20.0,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[str, Design] | None:
-    """Change of one variable that makes every marker of a design visible and separable at rest.
+) -> Repair | None:
+    """Change of one variable after which a design keeps every rule and shows every marker at rest.
 
     Changes are screened by some 64 rays a marker; the first that passes is confirmed exactly.
     Presses are not evaluated: `phytac advise` does that.
@@ -58,43 +83,57 @@ def quick_repair(
 
     Returns
     -------
-    words, changed : str and Design
-        The change for a reader and the changed design; None if none that was tried does.
+    Repair or None
+        None if none that was tried does.
 
     Raises
     ------
     DesignError
-        If the design breaks a rule.
+        If its markers cannot be placed.
     """
     start = time.monotonic()
-    sensor = check_design(design)
-    by_bar = bool((seen_at_rest(sensor, seed=seed).hidden_by == BAR).any())
-    for words, change in _changes(sensor, by_bar=by_bar):
+    try:
+        sensor = check_design(design)
+        by_bar = bool((seen_at_rest(sensor, seed=seed).hidden_by == BAR).any())
+        changes = _changes(sensor, REMEDIES, by_bar=by_bar)
+    except DesignError:
+        sensor = Sensor(design)
+        changes = chain(_fitted(design), _changes(sensor, RULES | REMEDIES, by_bar=True))
+    for words, fields in changes:
         if time.monotonic() - start > seconds:
             return None
         progress(f"trying {words}")
-        changed = _clear(change, seed)
+        changed = _clear(design, fields, seed)
         if changed is not None:
-            return words, changed
+            return Repair(words=words, fields=dict(fields), design=changed)
     return None
 
 
-def _changes(sensor: Sensor, *, by_bar: bool) -> Iterator[tuple[str, Callable[[], Design]]]:
-    """Changes in words, and what makes each: variables, then other cameras."""
+def _fitted(design: Design) -> Iterator[tuple[str, Fields]]:
+    """The camera at the distance at which it sees its rim."""
+    if design.camera.stand_off_mm != "fit":
+        fields = {"camera.stand_off_mm": "fit"}
+        yield _words(design, fields), fields
+
+
+def _changes(
+    sensor: Sensor, remedies: Mapping[str, Sequence[int]], *, by_bar: bool
+) -> Iterator[tuple[str, Fields]]:
+    """Changes of variables, then other cameras."""
     design = sensor.design
     variables = {one.name: one for one in variables_of(sensor)}
-    for name, times in REMEDIES.items():
+    for name, times in remedies.items():
         if name not in variables or (name == "light.bar_radius_mm" and not by_bar):
             continue
         variable = variables[name]
         for count in times:
             amount = count * variable.step
-            yield variable.words(amount), partial(variable.moved, design, amount)
+            yield variable.words(amount), variable.fields(amount)
     for fields in _other_cameras(design):
-        yield _words(design, fields), partial(with_fields, design, fields)
+        yield _words(design, fields), fields
 
 
-def _words(design: Design, fields: Mapping[str, Any]) -> str:
+def _words(design: Design, fields: Fields) -> str:
     """Numbers and words that change, for a reader."""
     now = {name: getattr(design.camera, name.partition(".")[2]) for name in fields}
     return ", ".join(
@@ -122,10 +161,10 @@ def _other_cameras(design: Design) -> Iterator[dict[str, Any]]:
         yield {"camera.ends": "both"}
 
 
-def _clear(change: Callable[[], Design], seed: int) -> Design | None:
+def _clear(design: Design, fields: Fields, seed: int) -> Design | None:
     """The changed design, if it keeps every rule and shows every marker."""
     try:
-        changed = change()
+        changed = with_fields(design, fields)
         sensor = check_design(changed)
         fractions = sampled_fractions(sensor)
         if fractions.max(axis=0).min() < FRACTION_MIN:
