@@ -279,6 +279,7 @@ def test_without_lib3mf_only_the_3mf_is_left_out(
 
 
 @pytest.mark.usefixtures("coarse_switches")
+@pytest.mark.long
 def test_without_graphics_libraries_only_the_step_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -309,6 +310,7 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
 
 
 @pytest.mark.usefixtures("coarse_switches")
+@pytest.mark.long
 def test_a_shell_that_the_cad_kernel_cannot_fuse_is_printed_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

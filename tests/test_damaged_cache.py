@@ -28,6 +28,7 @@ def hashes(out: Path) -> dict[str, str]:
     return {item["path"]: item["sha256"] for item in files}
 
 
+@pytest.mark.long
 def test_one_flipped_byte_in_each_kind_of_file(
     built: BuildResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -136,6 +136,7 @@ def _new(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_parts_share_no_sample(here: UnitDecoder) -> None:
     times = [set(part.samples.time_s.tolist()) for part in (here.train, here.test)]
     assert len(times[0]) == 12
@@ -145,6 +146,7 @@ def test_parts_share_no_sample(here: UnitDecoder) -> None:
     assert set(few.samples.time_s) < set(more.samples.time_s) < times[0]
 
 
+@pytest.mark.long
 def test_figures_are_those_of_the_forces(judged: Evaluation) -> None:
     """Mean relative and absolute error, summed up here one contact after the other."""
     samples, model_forces = judged.data.samples, judged.decoded.decoded_N["koi_inverse"]
@@ -365,6 +367,7 @@ def test_failed_samples_are_in_no_part(
     assert samples.time_s[3] not in [*train.samples.time_s, *test.samples.time_s]
 
 
+@pytest.mark.long
 def test_cycles_part_runs_and_reads_nothing_at_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, here: UnitDecoder
 ) -> None:

@@ -25,6 +25,7 @@ def test_the_hand_grips_and_is_hit() -> None:
     assert job(small(), quick=True).scenario.touch.samples == 8
 
 
+@pytest.mark.long
 def test_rows_of_a_film(built: BuildResult) -> None:
     bundle = load_bundle(built.out / "decoder")
     views = built.out / "views"

@@ -103,6 +103,7 @@ def test_objects_break_where_the_true_force_would_break_them(out: Path) -> None:
     ]
 
 
+@pytest.mark.long
 def test_a_cup_is_held_by_feedback_alone(out: Path) -> None:
     import cup
 

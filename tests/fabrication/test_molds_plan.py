@@ -70,6 +70,7 @@ def test_keys_fit_only_one_way_round(columns: int, lines: int) -> None:
         assert {(x * a, y * b) for a, b in places} != places
 
 
+@pytest.mark.long
 def test_a_larger_bed_takes_fewer_sets() -> None:
     switches = switch_set((2.0,) * 100)
     small = molds(switches, rules={"bed_mm": [70.0, 70.0, 100.0]}, tolerance_mm=0.1)

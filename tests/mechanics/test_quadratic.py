@@ -89,6 +89,7 @@ def test_quadratic_patch_has_its_resultant_and_place(cylinder60: Prototype) -> N
         quadratic_patch(mesh, surface, np.array([300.0, 0.0]), RADIUS)
 
 
+@pytest.mark.long
 def test_25_n_on_a_fingertip_against_ccx_nlgeom(cylinder60: Prototype, tmp_path: Path) -> None:
     # Meshes of a test: both are 1–2 % from converged; the benchmark holds the 1 % of the issue.
     # Linear theory is 27 % below.

@@ -117,6 +117,7 @@ def test_load_control_marks_what_lies_beyond_the_limit(
     assert after.jumped == (share * LIMIT + 0.02 > LIMIT)
 
 
+@pytest.mark.long
 def test_a_sharp_bend_of_the_path_is_no_jump() -> None:
     """The pulled cylinder: past half its load the path bends sharply; its dip is 0.001 deep."""
     model, load, top = large_cases.open_cylinder(16, 12)

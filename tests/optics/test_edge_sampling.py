@@ -71,6 +71,7 @@ def test_centroids_are_exact_to_a_few_thousandths_of_a_pixel(few: Bench) -> None
     assert errors[0] < 0.45 * errors[1]
 
 
+@pytest.mark.long
 def test_the_field_of_a_lens_may_end_within_the_image(few: Bench) -> None:
     lens = few.camera.lens
     narrow = KannalaBrandt(

@@ -298,6 +298,7 @@ def test_a_frame_that_cannot_be_read_says_so(rig: Rig) -> None:
     assert not small.found.any()
 
 
+@pytest.mark.long
 def test_two_cameras_read_each_their_own() -> None:
     rig = Rig(design("both"))
     number = rig.imaging.nominal.read_by

@@ -196,6 +196,7 @@ def test_a_scheduler_that_is_killed_ends_the_run_and_loses_nothing(
     assert rows(tmp_path) == expected
 
 
+@pytest.mark.long
 def test_a_worker_of_dask_that_is_killed_loses_nothing(
     cluster: Cluster, expected: list[dict[str, object]], tmp_path: Path
 ) -> None:

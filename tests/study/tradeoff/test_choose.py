@@ -45,6 +45,7 @@ def error() -> ForceError:
     return ForceError(drawn("hemisphere", 1), count=6)
 
 
+@pytest.mark.long
 def test_tighter_tolerances_cost_more_and_hold(error: ForceError) -> None:
     choices = [
         choose_tolerance(error.design, tolerance, error=error) for tolerance in (0.2, 0.08, 0.04)

@@ -97,6 +97,7 @@ def test_measured_points_survive_a_restart(tmp_path: Path, monkeypatch: pytest.M
     assert len(measured) == 4
 
 
+@pytest.mark.long
 def test_stages_are_measured_apart_from_what_they_need(tmp_path: Path) -> None:
     points = Points(drawn("hemisphere", 1), tmp_path)
     point = Point(kind="stages", name="mesh", settings={"refine": 2})
