@@ -182,7 +182,7 @@ def test_no_repair_is_looked_for_without_end_or_for_a_wrong_unit(
     def forever(*_: Any, **__: Any) -> None:
         looked.append(True)
         # As the reading of a cache does: what stops it must not look like a file's error.
-        for _ in range(500):
+        for _step in range(500):
             with contextlib.suppress(Exception):
                 time.sleep(0.01)
 

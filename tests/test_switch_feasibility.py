@@ -12,6 +12,7 @@ from phytac_design.design.design_file import to_toml
 from phytac_design.mechanics.switch.feasible_range import FeasibleRange
 from phytac_design.workflows import switch_feasibility
 from phytac_design.workflows.switch_feasibility import check_thresholds
+from phytac_shapes.errors import DesignError
 from tests.designs import small
 from tests.refusals import refused
 from tests.test_check_faults import COARSE
@@ -105,14 +106,29 @@ def test_a_new_design_has_a_rubber_for_its_threshold() -> None:
     # In the middle of 1.11 to 2.5 MPa, on a logarithmic scale.
     assert design.switch.modulus_MPa == 1.7
     assert "rubber must have 1.7 MPa" in words
-    same, words = new_command._switches_of(small(), 0.3)
+    # As wanted: no change.
+    same, words = new_command._switches_of(small(), 3.0)
     assert same == small()
-    start, end = words.split(", with a rubber of about ")
-    assert start == (
-        "a contact trips a switch from about 1.5 N (wanted: 0.3 N); for less, set "
-        "switch.threshold_N = 0.099 and release_N = 0.079"
+    assert words == (
+        "a contact trips a switch from about 1.5 N (wanted: 3 N; switch.threshold_N = 0.5)"
     )
-    softer_MPa, thinnest_N = float(end.split()[0]), float(end.split()[-2])
-    assert softer_MPa == pytest.approx(10.0 * 0.099 / 1.2 / thinnest_N, rel=0.05)
-    assert 0.3 < thinnest_N < 0.5
-    assert new_command._switches_of(small(), 3.0)[1].endswith("(wanted: 3 N)")
+
+
+def test_a_new_design_has_thresholds_for_the_smallest_force() -> None:
+    design, words = new_command._switches_of(small(), 0.3)
+    assert (design.switch.threshold_N, design.switch.release_N) == (0.099, 0.079)
+    assert design.switch.modulus_MPa == pytest.approx(1.65, abs=0.1)
+    assert words == (
+        "a contact trips a switch from about 0.3 N (wanted: 0.3 N; switch.threshold_N = 0.099); "
+        f"the switches' rubber must have {design.switch.modulus_MPa:g} MPa (switch.modulus_MPa)"
+    )
+
+
+def test_thresholds_that_no_rubber_has_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(*_: object, **__: object) -> None:
+        raise DesignError("switch-infeasible", "no bowl fits; raise the footprint")
+
+    monkeypatch.setattr("phytac_design.workflows.switch_feasibility.modulus_for", none)
+    design, words = new_command._switches_of(small(), 0.3)
+    assert design == small()
+    assert "from about 1.5 N (wanted: 0.3 N" in words

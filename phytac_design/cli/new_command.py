@@ -2,6 +2,7 @@
 
 import re
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -112,17 +113,42 @@ def _ask_design(out: Path | None, *, full: bool) -> None:
 
 
 def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
-    """The design with a rubber for its threshold, and a sentence on the forces that it reads."""
-    from phytac_design.mechanics.switch.feasible_range import smallest_N
-    from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
+    """The design with switches that the smallest force trips, and a sentence on that force.
+
+    Thresholds stay as they are where no bowl of any rubber has the wanted ones.
+    """
     from phytac_design.study.advice.first_design import trip_force_N
+
+    design, rubber = _with_rubber(design)
+    factor = least_N / trip_force_N(design)
+    if factor < 0.95:  # numbers of design files are rounded to two digits
+        switch = design.switch
+        forces_N = {name: getattr(switch, name) for name in ("threshold_N", "release_N")}
+        lighter = {name: float(f"{factor * force:.2g}") for name, force in forces_N.items()}
+        with suppress(DesignError):
+            own = switch.model_copy(update=lighter)
+            design, rubber = _with_rubber(design.model_copy(update={"switch": own}))
+    trip_N = trip_force_N(design)
+    return design, (
+        f"a contact trips a switch from about {trip_N:.2g} N (wanted: {least_N:g} N; "
+        f"switch.threshold_N = {design.switch.threshold_N:g}){rubber}"
+    )
+
+
+def _with_rubber(design: "Design") -> tuple["Design", str]:
+    """The design with a modulus at which bowls have its thresholds, and words on it if it is new.
+
+    Raises
+    ------
+    DesignError
+        If no bowl of any rubber has them.
+    """
     from phytac_design.workflows.switch_feasibility import (
         check_thresholds,
         modulus_for,
         threshold_range,
     )
 
-    softened = ""
     try:
         check_thresholds(design, progress=say)
     except DesignError:
@@ -131,30 +157,11 @@ def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
             raise
         modulus_MPa = modulus_for(design.switch.threshold_N, found)
         own = design.switch.model_copy(update={"modulus_MPa": modulus_MPa})
-        design = design.model_copy(update={"switch": own})
-        softened = f"; their rubber must have {modulus_MPa:g} MPa (switch.modulus_MPa)"
-    trip_N = trip_force_N(design)
-    switches = (
-        f"a contact trips a switch from about {trip_N:.2g} N (wanted: {least_N:g} N){softened}"
-    )
-    # Numbers of design files are rounded to two digits.
-    if trip_N <= 1.05 * least_N:
-        return design, switches
-    factor, margin = least_N / trip_N, 1.2  # above the thinnest wall's threshold
-    threshold_N, release_N = (
-        float(f"{factor * force_N:.2g}")
-        for force_N in (design.switch.threshold_N, design.switch.release_N)
-    )
-    change = f"for less, set switch.threshold_N = {threshold_N:g} and release_N = {release_N:g}"
-    stiff, found_N = rubber_of(design), smallest_N(rubber_of(design), space_of(design))
-    if found_N is not None and threshold_N < found_N:
-        modulus_MPa = stiff.material.modulus_MPa
-        softer_MPa = modulus_MPa * threshold_N / (margin * found_N)
-        change += (
-            f", with a rubber of about {softer_MPa:.2g} MPa (switch.modulus_MPa): at "
-            f"{modulus_MPa:g} MPa the thinnest bowl snaps at {found_N:.2g} N"
+        return (
+            design.model_copy(update={"switch": own}),
+            f"; the switches' rubber must have {modulus_MPa:g} MPa (switch.modulus_MPa)",
         )
-    return design, f"{switches}; {change}"
+    return design, ""
 
 
 def _ask_name() -> str:
