@@ -12,10 +12,11 @@ import typer
 
 from phytac_design.cli import check_command
 from phytac_design.design.design_file import parse_design, to_toml
+from phytac_design.design.spec import Design
 from phytac_design.design.unit_hints import unit_hints
 from phytac_design.rules.check import RULES, broken_rules, check_design
 from phytac_design.rules.design_review import checkup
-from phytac_design.study.advice.quick_repair import quick_repair, seen_at_rest
+from phytac_design.study.advice.quick_repair import quick_repair, readable_tips, seen_at_rest
 from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 from tests.refusals import refused
@@ -145,6 +146,28 @@ def test_a_broken_rule_is_repaired_as_well() -> None:
     assert rows is not None
     assert set(rows.fields) == {"layout.rows"}
     assert checkup(rows.design)["clear"]
+
+
+def test_tips_that_rest_deeper_are_read() -> None:
+    camera = {"width_px": 864, "height_px": 648, "focal_px": 322.0}
+    pad = changed("plane", layout={"rows": 5, "columns": 5}, camera=camera)
+    asked: list[float] = []
+
+    def fits(design: Design) -> None:
+        asked.append(design.switch.stroke_mm)
+        if design.switch.stroke_mm > 1.5:
+            raise DesignError("switch-infeasible", "too shallow a bowl; raise the footprint")
+
+    found = readable_tips(pad, fits=lambda _: None)
+    assert found is not None
+    repair, before, after = found
+    assert after <= 2 * before / 3
+    assert repair.words == "switch.tip_recess_mm 0.3 → 0.8, switch.stroke_mm 1.5 → 2"
+    assert seen_at_rest(check_design(repair.design)).switch_unreadable.sum() == after
+    # Switches that cannot be made are no cure.
+    other = readable_tips(pad, fits=fits)
+    assert other is None or other[0].design.switch.stroke_mm == 1.5
+    assert asked[0] == 2.0
 
 
 def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """``phytac check``: rules, visibility and density of a design."""
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -11,6 +12,8 @@ from phytac_shapes.errors import DesignError, PhytacError
 if TYPE_CHECKING:
     from phytac_design.design.spec import Design
 
+BLIND_SHARE = 0.1
+"""Above this share of switches that cannot be read, a cure is looked for."""
 LOOK_S = 30.0
 """A reader of the faults waits no longer for a repair."""
 
@@ -41,6 +44,8 @@ def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = Fa
     else:
         _print_check(report)
         _warn(report, fault)
+        if report["clear"] and _blind_share(report) > BLIND_SHARE:
+            _suggest_tips(loaded, report["visibility"]["switch_unreadable"], seed=seed)
         typer.echo(_verdict(report, visible=visible))
         if report["clear"]:
             next_step(f"phytac build {design}")
@@ -165,6 +170,36 @@ def _verdict(report: dict[str, Any], *, visible: bool) -> str:
     if blind:
         verdict += f"; about {blind} switches cannot be read"
     return f"{verdict} ({report['seconds']:.1f} s)"
+
+
+def _blind_share(report: dict[str, Any]) -> float:
+    """Share of the switches that the camera cannot read."""
+    blind: float = report["visibility"].get("switch_unreadable", 0)
+    markers: int = report["markers"]["count"]
+    return blind / markers
+
+
+def _suggest_tips(design: "Design", blind: int, *, seed: int) -> None:
+    """Say why many switches cannot be read, what that costs, and what helps."""
+    from phytac_design.study.advice.quick_repair import readable_tips
+    from phytac_design.workflows.switch_feasibility import check_thresholds
+
+    typer.echo(
+        f"the camera looks straight into the holes of {blind} switches and sees their tips at rest "
+        "too: contacts on them are found by the markers' motion alone, from larger forces on"
+    )
+    say(f"looking for tips that it can read, for {LOOK_S:g} s at most (Ctrl-C to stop)")
+    found = None
+    with resumable("stopped looking"), suppress(TimeLimitError), time_limit(LOOK_S):
+        found = readable_tips(design, fits=check_thresholds, seed=seed)
+    if found:
+        repair, before, after = found
+        typer.echo(f"  {repair.words} leaves {after} of the {before}")
+    else:
+        typer.echo(
+            "  move the camera nearer (camera.stand_off_mm), or leave the switches out "
+            "(receptor.diameter_hole_mm = 0)"
+        )
 
 
 def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -35,6 +36,13 @@ RULES: dict[str, tuple[int, ...]] = {
     "wall.thickness_mm": (1, 2, 4, 8, -4),
 }
 """Variables that are tried first where a rule is broken."""
+DEEPER_TIPS_mm = (
+    {"tip_recess_mm": 0.3},
+    {"tip_recess_mm": 0.6},
+    {"tip_recess_mm": 0.3, "stroke_mm": 0.3},
+    {"tip_recess_mm": 0.5, "stroke_mm": 0.5},
+)
+"""Changes with which a resting tip is seen less."""
 MORE_PIXELS = (1.5, 2.0, 3.0)
 """Cameras with this many times the pixels along each side are tried after the variables."""
 
@@ -109,6 +117,57 @@ def quick_repair(
     return None
 
 
+def readable_tips(
+    design: Design,
+    *,
+    fits: Callable[[Design], None],
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[Repair, int, int] | None:
+    """Recess and stroke of the switches' tips with which the camera reads more of them.
+
+    A camera that looks straight into a hole sees a resting tip too, unless it rests deeper.
+
+    Parameters
+    ----------
+    fits : callable
+        Raises an error for a design whose switches cannot be made.
+
+    Returns
+    -------
+    repair, before, after : Repair, int and int
+        The change, and how many switches cannot be read; None if none that was tried leaves at most
+        two thirds of them.
+
+    Raises
+    ------
+    DesignError
+        If the design breaks a rule.
+    """
+    before = int(seen_at_rest(check_design(design), seed=seed).switch_unreadable.sum())
+    tried: list[tuple[int, Repair]] = []
+    for changes_mm in DEEPER_TIPS_mm:
+        fields = {
+            f"switch.{name}": round(getattr(design.switch, name) + change_mm, 3)
+            for name, change_mm in changes_mm.items()
+        }
+        words = _words(design, fields)
+        progress(f"trying {words}")
+        with suppress(PhytacError):
+            changed = with_fields(design, fields)
+            seen = seen_at_rest(check_design(changed), seed=seed)
+            if seen.clear.all():
+                repair = Repair(words=words, fields=fields, design=changed)
+                tried.append((int(seen.switch_unreadable.sum()), repair))
+    for after, repair in sorted(tried, key=lambda item: item[0]):
+        if after > 2 * before / 3:
+            break
+        with suppress(PhytacError):
+            fits(repair.design)
+            return repair, before, after
+    return None
+
+
 def _fitted(design: Design) -> Iterator[tuple[str, Fields]]:
     """The camera at the distance at which it sees its rim."""
     if design.camera.stand_off_mm != "fit":
@@ -135,7 +194,8 @@ def _changes(
 
 def _words(design: Design, fields: Fields) -> str:
     """Numbers and words that change, for a reader."""
-    now = {name: getattr(design.camera, name.partition(".")[2]) for name in fields}
+    places = {name: name.split(".") for name in fields}
+    now = {name: getattr(getattr(design, table), own) for name, (table, own) in places.items()}
     return ", ".join(
         f"{name} {now[name]:.5g} → {new:.5g}"
         if isinstance(new, int | float)
