@@ -1,6 +1,7 @@
 """The command that decodes frames: one to a table of forces, a recording to one row per frame."""
 
 import contextlib
+import json
 import re
 import sys
 from collections import Counter
@@ -196,6 +197,7 @@ def _decode_frame(
     )
     normals = messages.normals(np.array([one.point_mm for one in contacts]).reshape(-1, 3))
     net = wrench_fields(messages.wrench(reading), moment_about)
+    truth_N = _true_forces(Path(frames[0]))
     for warning in (*bundle.limits(chosen), *reading.warnings):
         say(f"warning: {warning}")
     if as_json:
@@ -223,20 +225,15 @@ def _decode_frame(
         }
         if regions:
             result["regions"] = {name: round(force, 4) for name, force in region_N.items()}
+        if truth_N:
+            result["true_forces_N"] = {str(marker): force for marker, force in truth_N.items()}
         print_json(result)
         return
     typer.echo(f"{bundle.design}: {int(measured.found.sum())} of {len(forces)} markers found")
-    _print_loads(bundle, reading)
+    _print_loads(bundle, reading, truth_N)
     for name, force in region_N.items():
         typer.echo(f"  region {name}  {force:.2f} N")
-    aside = f" and {len(reading.unswitched)} contacts without one" if reading.unswitched else ""
-    typer.echo(f"total {total_N:.2f} N on {len(koi)} switched receptors{aside}")
-    typer.echo(
-        "net force ({:.2f}, {:.2f}, {:.2f}) N, moment ({:.1f}, {:.1f}, {:.1f}) N·mm about "
-        "({:g}, {:g}, {:g}) mm".format(
-            *net["net_force_N"], *net["net_moment_Nmm"], *net["moment_about_mm"]
-        )
-    )
+    _print_sums(reading, total_N, truth_N, net)
     doubts = len(reading.warnings)
     typer.echo(
         f"the frame is {'doubtful, see the warnings' if doubts else 'good'}: "
@@ -245,12 +242,57 @@ def _decode_frame(
     next_step(f"phytac live {folder} 0 shows forces of a camera" if rest else GIVE_REST)
 
 
-def _print_loads(bundle: "Bundle", reading: "Reading") -> None:
-    """Markers and contacts of one frame with their forces."""
+def _print_sums(
+    reading: "Reading", total_N: float, truth_N: dict[int, float], net: dict[str, Any]
+) -> None:
+    """Sum of the forces, how far they are from the truth where it is known, and the net force."""
+    koi = [int(marker) for marker in reading.koi]
+    aside = f" and {len(reading.unswitched)} contacts without one" if reading.unswitched else ""
+    typer.echo(f"total {total_N:.2f} N on {len(koi)} switched receptors{aside}")
+    if truth_N:
+        typer.echo(_against_truth({mark: float(reading.forces_N[mark]) for mark in koi}, truth_N))
+    typer.echo(
+        "net force ({:.2f}, {:.2f}, {:.2f}) N, moment ({:.1f}, {:.1f}, {:.1f}) N·mm about "
+        "({:g}, {:g}, {:g}) mm".format(
+            *net["net_force_N"], *net["net_moment_Nmm"], *net["moment_about_mm"]
+        )
+    )
+
+
+def _true_forces(frame: Path) -> dict[int, float]:
+    """Forces that a rendered frame was pressed with, N by marker; empty for other pictures.
+
+    A build writes them beside its frame, with the same name and the suffix ``.json``.
+    """
+    try:
+        data = json.loads(frame.with_suffix(".json").read_text(encoding="utf-8"))
+        return {int(marker): float(force_N) for marker, force_N in data.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}  # no file, or one of something else
+
+
+def _against_truth(found_N: dict[int, float], truth_N: dict[int, float]) -> str:
+    """How far receptors' forces are from those of a rendered frame."""
+    off_N = [abs(found_N.get(marker, 0.0) - force_N) for marker, force_N in truth_N.items()]
+    missed = len(truth_N.keys() - found_N.keys())
+    false = len(found_N.keys() - truth_N.keys())
+    total_N = sum(truth_N.values())
+    return (
+        f"rendered with {total_N:.2f} N on {len(truth_N)} receptors: each is "
+        f"{sum(off_N) / len(off_N):.2f} N off on average, {missed} not found, {false} where "
+        "nothing presses"
+    )
+
+
+def _print_loads(bundle: "Bundle", reading: "Reading", truth_N: dict[int, float]) -> None:
+    """Markers and contacts of one frame with their forces, and the true ones where known."""
     for marker in reading.koi:
         x, y, z = bundle.position_mm[marker]
         force_N = reading.forces_N[marker]
-        typer.echo(f"  marker {marker:4d} at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {force_N:7.2f} N")
+        true = f"  (true: {truth_N.get(marker, 0.0):.2f} N)" if truth_N else ""
+        typer.echo(
+            f"  marker {marker:4d} at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {force_N:7.2f} N{true}"
+        )
     for contact in reading.found.contacts if reading.found else []:
         x, y, z = contact.point_mm
         switched = "" if len(contact.markers) else "; it tripped no switch"
