@@ -1,6 +1,5 @@
 """``phytac check`` as a user runs it: shipped designs pass, broken ones are repaired as it says."""
 
-import json
 import re
 import subprocess
 import sys
@@ -23,7 +22,6 @@ BROKEN: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """A shipped design, and the fields that break it."""
 CHANGE = re.compile(r"(\w+\.\w+) \S+ → ([^\s,]+)")
-LEAST = re.compile(r"move it back to at least ([\d.]+) mm")
 
 
 def checked(design: str) -> tuple[bool, str, float]:
@@ -38,10 +36,17 @@ def named_fields(said: str) -> dict[str, Any]:
     """Fields that the output of a check says to change, with their new values."""
     last = said.strip().splitlines()[-1]
     if last.startswith("this repairs it: "):
-        return {name: json.loads(value) for name, value in CHANGE.findall(last)}
-    if found := LEAST.search(said):
-        return {"camera.stand_off_mm": float(found[1])}
+        return {name: _value(text) for name, text in CHANGE.findall(last)}
     return {}
+
+
+def _value(text: str) -> float | int | str:
+    """A number, or a word such as ``fit``."""
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if number.is_integer() else number
 
 
 def checks(table: Table, *, quick: bool) -> None:
