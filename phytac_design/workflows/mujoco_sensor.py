@@ -17,7 +17,6 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.simulators.simulator_part import base_z_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.indenter import FLAT, SPHERE, Indentations
-from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.run.virtual_sensor import VirtualSensor
 from phytac_design.simulation.scenario.scenario_file import FRICTION_MAX
 from phytac_design.stages.virtual_sensor_stage import virtual_sensor
@@ -118,7 +117,7 @@ class PhytacMujoco:
         sensor: VirtualSensor | None = None,
         progress: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._mujoco = _library()
+        self._mujoco = mujoco_library()
         of_design = design if isinstance(design, Design) else load_design(design)
         decoder = bundle if isinstance(bundle, Bundle) else load_bundle(Path(bundle))
         if decoder.design_hash != design_hash(of_design):
@@ -178,6 +177,17 @@ class PhytacMujoco:
         self._before = read(self.bundle, measured, self.estimator, before=self._before)
         return self._before
 
+    def step(self) -> Reading:
+        """Advance the simulation to the camera's next frame, and decode it."""
+        self._mujoco.mj_step(self.model, self.data, nstep=self.steps_per_frame)
+        return self.read()
+
+    @property
+    def steps_per_frame(self) -> int:
+        """Steps of the simulation from one frame of the camera to the next, at least 1."""
+        rate_Hz = self.sensor.design.camera.frame_rate_Hz
+        return max(round(1.0 / (rate_Hz * float(self.model.opt.timestep))), 1)
+
     def message(self) -> Message:
         """Decode a frame of this moment, as the stream of the real sensor has it."""
         self._number += 1
@@ -218,24 +228,30 @@ class PhytacMujoco:
         felt = on_face & (inward_N > 0.0)
         self.elsewhere_N = float(np.linalg.norm(found.force_N[~felt], axis=1).sum())
         rows = np.flatnonzero(felt)
+        if not len(rows):
+            return _patches_of([], self._indenter)
+        groups = list(_groups(found.point_mm, found.other, inward_N, rows, self._radius_mm))
+        centres = np.array(
+            [inward_N[own] @ found.point_mm[own] / inward_N[own].sum() for own in groups]
+        )
+        at = surface.chart(centres)
+        at = np.where(np.array(surface.periodic), at, np.clip(at, low, high))
+        frames = self.sensor.patch_frames(at)
         patches = []
-        for group in _groups(found.point_mm, found.other, inward_N, rows, self._radius_mm):
+        for k, group in enumerate(groups):
             weight = inward_N[group] / inward_N[group].sum()
-            centre = weight @ found.point_mm[group]
-            spread = float(weight @ np.sum((found.point_mm[group] - centre) ** 2, axis=1))
+            arm = found.point_mm[group] - centres[k]
+            spread = float(weight @ np.sum(arm**2, axis=1))
             radius = self._radius_mm(int(found.other[group[0]]))
-            at = surface.chart(centre[None])
-            at = np.where(np.array(surface.periodic), at, np.clip(at, low, high))
-            out, axes = surface.normal(at)[0], np.stack(tangent_frame(surface, at), axis=1)[0]
             force = found.force_N[group].sum(axis=0)
-            inward = float(-force @ out)
+            inward = float(-force @ frames.normal[k])
             if inward <= 0.0:
                 continue
-            shear = axes @ force / inward
+            shear = frames.axes[k] @ force / inward
             # A contact at an edge may push along the surface more than any friction does.
             shear *= min(1.0, FRICTION_MAX / max(float(np.linalg.norm(shear)), 1e-9))
             # A disc with the second moment of discs at the points.
-            patches.append((*at[0], np.sqrt(radius**2 + 2.0 * spread), inward, *shear))
+            patches.append((*at[k], np.sqrt(radius**2 + 2.0 * spread), inward, *shear))
         return _patches_of(patches, self._indenter)
 
 
@@ -270,7 +286,7 @@ def _patches_of(rows: list[tuple[float, ...]], indenter: int) -> Indentations:
     )
 
 
-def _library() -> Any:
+def mujoco_library() -> Any:
     """The package mujoco.
 
     Raises

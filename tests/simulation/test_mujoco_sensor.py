@@ -187,6 +187,16 @@ def test_the_same_seed_gives_the_same_noise(rig: Any, felt: PhytacMujoco) -> Non
     assert not np.array_equal(readings[0], readings[2])
 
 
+def test_a_step_ends_at_the_next_frame(rig: Any, felt: PhytacMujoco) -> None:
+    rig.press(rig.sensor.markers.uv[12], 10.0, 4.0)
+    start_s, rate_Hz = float(rig.data.time), design().camera.frame_rate_Hz
+    readings = [felt.step() for _ in range(2)]
+    assert felt.steps_per_frame == round(1000.0 / rate_Hz)
+    assert rig.data.time - start_s == pytest.approx(2.0 / rate_Hz, abs=1e-3)
+    # Noise of two frames, one contact.
+    assert not np.array_equal(readings[0].forces_N, readings[1].forces_N)
+
+
 def test_what_presses_on_a_rim_is_not_felt(rig: Any, felt: PhytacMujoco) -> None:
     rig.press(np.array([12.0, 0.0]), 5.0, 4.0)
     felt.read()

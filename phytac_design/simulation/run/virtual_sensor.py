@@ -8,7 +8,8 @@ interpolated by the same formula as the decoder's, see
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,13 +22,13 @@ from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import Readers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.indenter import SPHERE, Indentations
-from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.imaging.imaging_model import CentroidErrors, ImagingModel
 from phytac_design.simulation.instance_shell import instance_shell
 from phytac_design.simulation.linear_response import rigid_slope
 from phytac_design.simulation.pressed_series import ImageResponse
 from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
+from phytac_design.simulation.run.switch_loads import SwitchLoads
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
@@ -36,6 +37,14 @@ ERRORS = ("rest_px", "place_px", "noise_px", "grid_px", "tip_bias_px")
 """Arrays of :class:`CentroidErrors`."""
 SPACING = 0.9
 """Distance of places over the decoder's: only those at the edges are places of both."""
+
+
+class PatchFrames(NamedTuple):
+    """Points (c, 3) mm of patches, outward normals (c, 3), and tangents (c, 2, 3) there."""
+
+    point_mm: FloatArray
+    normal: FloatArray
+    axes: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +144,8 @@ class VirtualSensor:
         What tips cover and what friction does beyond linear theory is not part of it.
         """
         total = np.zeros(2 * self.unit.markers.count)
+        if not len(contacts.force_N):
+            return total.reshape(-1, 2)
         for shift, _ in predicted_shifts(self.places, self._states(contacts)):
             total += shift
         return total.reshape(-1, 2)
@@ -149,8 +160,8 @@ class VirtualSensor:
         before : (n,) bool, optional
             Switches that were on just before: they go off at their lower threshold.
         """
-        radius = self.design.switch.footprint_diameter_mm / 2.0
-        share = footprint_shares(self.surface, contacts, self.unit.markers.uv, radius)
+        frames = self.patch_frames(contacts.uv)
+        share = self._switch_loads.shares(contacts, frames.point_mm, frames.normal)
         carried = contacts.force_N @ share
         on = carried > self.unit.on_N
         if before is not None:
@@ -177,11 +188,33 @@ class VirtualSensor:
             koi=np.flatnonzero(seen), shift_px=shift, found=np.isfinite(shift[:, 0])
         )
 
+    def patch_frames(self, uv: FloatArray) -> PatchFrames:
+        """Where patches at chart positions (c, 2) are; those of the last call are kept."""
+        last = self._last_frames
+        if not last or not np.array_equal(last[0][0], uv):
+            along, across = tangent_frame(self.surface, uv)
+            frames = PatchFrames(
+                self.surface.point(uv), np.cross(along, across), np.stack([along, across], axis=1)
+            )
+            last[:] = [(uv.copy(), frames)]
+        return last[0][1]
+
+    @cached_property
+    def _last_frames(self) -> list[tuple[FloatArray, PatchFrames]]:
+        """Chart positions and frames of the last patches; empty at first."""
+        return []
+
+    @cached_property
+    def _switch_loads(self) -> SwitchLoads:
+        """Shares of contacts on the switches."""
+        radius = self.design.switch.footprint_diameter_mm / 2.0
+        return SwitchLoads(self.surface, self.unit.markers.uv, radius)
+
     def _states(self, contacts: Indentations) -> Sequence[ContactState]:
         """Contacts as the tables take them: discs of the same second moment."""
-        places, points = self.places, self.surface.point(contacts.uv)
+        places = self.places
+        points, _, axes = self.patch_frames(contacts.uv)
         nearest = places.nearest(points)
-        axes = np.stack(tangent_frame(self.surface, contacts.uv), axis=1)
         none = np.zeros(0, dtype=np.int64)
         states = []
         for k, place in enumerate(nearest.tolist()):
