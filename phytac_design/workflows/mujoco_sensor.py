@@ -154,7 +154,7 @@ class PhytacMujoco:
         self._radius_mm = given if callable(given) else lambda _: float(given)
         self._indenter = SPHERE if indenter == "sphere" else FLAT
         self._origin_mm = np.array([0.0, 0.0, base_z_mm(Sensor(of_design))])
-        self._geoms = np.flatnonzero(model.geom_bodyid == self._body)
+        self._own = np.append(model.geom_bodyid == self._body, False)  # -1: no geom
         self._number = 0
         self.reset(seed)
 
@@ -198,7 +198,7 @@ class PhytacMujoco:
     def contacts(self) -> GeomContacts:
         """Contacts on the sensor's geoms at this moment, in the sensor's frame."""
         found = self.data.contact
-        mine = np.isin(found.geom, self._geoms)
+        mine = self._own[found.geom]
         rows = np.flatnonzero(mine.any(axis=1) & ~mine.all(axis=1) & (found.exclude == 0))
         wrench = np.zeros((len(rows), 6))
         for k, row in enumerate(rows.tolist()):
@@ -234,8 +234,11 @@ class PhytacMujoco:
         centres = np.array(
             [inward_N[own] @ found.point_mm[own] / inward_N[own].sum() for own in groups]
         )
-        at = surface.chart(centres)
-        at = np.where(np.array(surface.periodic), at, np.clip(at, low, high))
+        if len(groups) == len(rows):  # patches of one point each
+            at = uv[np.concatenate(groups)]
+        else:
+            at = surface.chart(centres)
+            at = np.where(np.array(surface.periodic), at, np.clip(at, low, high))
         frames = self.sensor.patch_frames(at)
         patches = []
         for k, group in enumerate(groups):
