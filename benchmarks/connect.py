@@ -2,9 +2,10 @@
 
 Part ``mujoco``: spheres pressed on a virtual print in MuJoCo, decoded by its decoder as designed;
 the same presses, solved and seen as ``phytac simulate`` does, are beside them. Part ``parts``:
-exported parts of all shipped designs in MuJoCo and OpenUSD. ::
+exported parts of all shipped designs in MuJoCo and OpenUSD. Part ``environments``: grasps in the
+Gymnasium environments. ::
 
-    python -m benchmarks.connect [--parts mujoco,parts] [--quick]
+    python -m benchmarks.connect [--parts mujoco,parts,environments] [--quick]
 """
 
 import time
@@ -15,6 +16,7 @@ from functools import partial
 import mujoco
 import numpy as np
 
+from benchmarks.connect_environments import grasped
 from benchmarks.connect_parts import exported
 from benchmarks.connect_presses import PressRig, found_beside, only
 from benchmarks.decoder_data import job_of, small_design
@@ -203,6 +205,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     return {
         "mujoco": partial(in_mujoco, quick=quick),
         "parts": partial(exported, quick=quick),
+        "environments": partial(grasped, quick=quick),
     }
 
 

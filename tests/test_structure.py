@@ -17,7 +17,7 @@ SOURCES = {"phytac_shapes": "shapes", "phytac_decoder": "decoder", "phytac_desig
 """Packages, and the folder that holds each."""
 HEAVY = (
     "gmsh", "cadquery", "pyrender", "torch", "lib3mf", "onnx", "optuna", "distributed",
-    "mcap", "mujoco", "pxr",
+    "mcap", "mujoco", "pxr", "rerun",
 )  # fmt: skip
 """Libraries that are imported in one module each, at first use."""
 OLD_WORDS = re.compile(

@@ -51,6 +51,9 @@ def live(
     control: ControlOption = None,
     every: EveryOption = False,
     loop: LoopOption = False,
+    rerun: Annotated[
+        bool, typer.Option("--rerun", help="Show the stream in Rerun's viewer, too (extra rerun).")
+    ] = False,
 ) -> None:
     """Show forces in a browser of this machine, until the source ends or Ctrl-C."""
     from phytac_decoder.serving.live_view import LiveView
@@ -80,7 +83,7 @@ def live(
         )
         frames, messages = session.source, session.messages(moment_about)
         view = stack.enter_context(LiveView(messages.hello(), port=port, tare=session.tare.tare))
-        kept = open_recorders(stack, record, None, messages)
+        kept = open_recorders(stack, record, None, messages, rerun=rerun)
         report(f"{session.bundle.design}: {frames.description}; look at {view.url}; Ctrl-C stops")
         for limit in session.bundle.limits(session.estimator):
             report(f"warning: {limit}")

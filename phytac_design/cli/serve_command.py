@@ -94,7 +94,8 @@ ControlOption = Annotated[
 RecordOption = Annotated[
     Path | None,
     typer.Option(
-        help="CSV of contacts to write, or ROS 2 messages as NAME.mcap (extra recordings)."
+        help="CSV of contacts to write, or ROS 2 messages as NAME.mcap (extra recordings), or a "
+        "recording for Rerun as NAME.rrd (extra rerun)."
     ),
 ]
 RecordRegionsOption = Annotated[
@@ -454,6 +455,7 @@ def open_recorders(
     messages: "MessageBuilder",
     *,
     mcap: Path | None = None,
+    rerun: bool = False,
 ) -> "Recorders":
     """Recorders of contacts and of regions' forces, by file; the stack closes them.
 
@@ -462,11 +464,13 @@ def open_recorders(
     stack : ExitStack
         Closes them.
     record, record_regions : Path, optional
-        Files; ``record`` ending in .mcap holds ROS 2 messages.
+        Files; ``record`` ending in .mcap holds ROS 2 messages, in .rrd a recording for Rerun.
     messages : MessageBuilder
         Of the stream.
     mcap : Path, optional
         File of ROS 2 messages, of any name.
+    rerun : bool
+        Show the stream in Rerun's viewer.
 
     Raises
     ------
@@ -475,7 +479,7 @@ def open_recorders(
     OutputError
         If a file cannot be made, or both are one.
     MissingPartError
-        If MCAP cannot be written here.
+        If MCAP or Rerun's files cannot be written here.
     """
     from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
 
@@ -493,6 +497,16 @@ def open_recorders(
     kept: Recorders = {}
     if record and record.suffix.lower() == ".mcap":
         record, mcap = None, record
+    if rerun or (record and record.suffix.lower() == ".rrd"):
+        from phytac_design.core.rerun_recording import RerunRecorder
+
+        started_s = messages.started_unix_s
+        if record and record.suffix.lower() == ".rrd":
+            kept[record] = stack.enter_context(RerunRecorder(record, messages.bundle, started_s))
+            record = None
+        if rerun:
+            viewer = RerunRecorder(None, messages.bundle, started_s)
+            kept[Path("Rerun's viewer")] = stack.enter_context(viewer)
     if record:
         kept[record] = stack.enter_context(Recorder(record))
     if mcap:

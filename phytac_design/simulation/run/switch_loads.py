@@ -102,4 +102,4 @@ class SwitchLoads:
 
 def _squares(arm_mm: FloatArray) -> FloatArray:
     """Squared lengths (n,) of arms (n, 3); faster than a norm."""
-    return np.einsum("ni,ni->n", arm_mm, arm_mm)
+    return np.asarray(np.einsum("ni,ni->n", arm_mm, arm_mm))
