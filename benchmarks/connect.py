@@ -3,9 +3,9 @@
 Part ``mujoco``: spheres pressed on a virtual print in MuJoCo, decoded by its decoder as designed;
 the same presses, solved and seen as ``phytac simulate`` does, are beside them. Part ``parts``:
 exported parts of all shipped designs in MuJoCo and OpenUSD. Part ``environments``: grasps in the
-Gymnasium environments. ::
+Gymnasium environments. Part ``recordings``: files for Rerun and LeRobot. ::
 
-    python -m benchmarks.connect [--parts mujoco,parts,environments] [--quick]
+    python -m benchmarks.connect [--parts mujoco,parts,environments,recordings] [--quick]
 """
 
 import time
@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.connect_environments import grasped
 from benchmarks.connect_parts import exported
 from benchmarks.connect_presses import PressRig, found_beside, only
+from benchmarks.connect_recordings import recorded
 from benchmarks.decoder_data import job_of, small_design
 from benchmarks.decoder_evaluation import by_design, mechanics
 from benchmarks.harness import Table, run_parts
@@ -206,6 +207,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "mujoco": partial(in_mujoco, quick=quick),
         "parts": partial(exported, quick=quick),
         "environments": partial(grasped, quick=quick),
+        "recordings": partial(recorded, quick=quick),
     }
 
 

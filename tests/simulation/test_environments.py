@@ -1,6 +1,7 @@
 """Gymnasium environments: gymnasium's own check, and a controller that holds cup, egg and ball."""
 
 import importlib
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -79,16 +80,53 @@ def test_the_guide_holds_the_cup(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    guide = (ROOT / "docs" / "guides" / "environments.md").read_text(encoding="utf-8")
-    (code,) = (part.partition("```")[0] for part in guide.split("```python\n")[1:])
-    monkeypatch.chdir(tmp_path)
+    run_guide("environments", bundle, sensor, tmp_path, monkeypatch)
+    assert capsys.readouterr().out.startswith("held ")
+
+
+def test_the_guide_records_grasps(
+    bundle: Bundle,
+    sensor: VirtualSensor,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    run_guide("lerobot", bundle, sensor, tmp_path, monkeypatch)
+    assert capsys.readouterr().out == "['held', 'held']\n"
+    info = json.loads(Path("grasps/meta/info.json").read_text())
+    assert (info["total_episodes"], info["fps"]) == (2, 30)
+    rows = [
+        parquet.read_table(f"grasps/data/chunk-000/file-{number:03d}.parquet").to_pylist()
+        for number in range(2)
+    ]
+    assert len(rows[0]) + len(rows[1]) == info["total_frames"]
+    last, first = rows[0][-1], rows[0][0]
+    assert (last["next.done"], last["next.success"], last["next.reward"]) == (True, True, 1.0)
+    assert (first["next.done"], first["observation.grip"]) == (False, [0.0, 0.0, 0.0])
+    # The action of a row is the one that followed its observation: closing at the approach speed.
+    assert first["action"] == pytest.approx([0.6, 0.0])
+    assert 5.0 < last["observation.grip"][0] < 20.0
+    assert sum(last["observation.switches"]) >= 1.0
+
+
+def run_guide(
+    name: str,
+    bundle: Bundle,
+    sensor: VirtualSensor,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Run the first program of a guide, with the sensor at hand."""
+    guide = (ROOT / "docs" / "guides" / f"{name}.md").read_text(encoding="utf-8")
+    code = guide.split("```python\n")[1].partition("```")[0]
+    monkeypatch.chdir(folder)
     Path("mine.toml").write_text(to_toml(design()), encoding="utf-8")
-    folder = Path("exports/mine/decoder")
-    save_bundle(bundle, folder)
-    stamp_bundle(folder, design=bundle.design, design_hash=bundle.design_hash)
+    decoder = Path("exports/mine/decoder")
+    save_bundle(bundle, decoder)
+    stamp_bundle(decoder, design=bundle.design, design_hash=bundle.design_hash)
     monkeypatch.setattr(mujoco_sensor, "virtual_sensor", lambda *_, **__: sensor)
     exec(code, {})  # noqa: S102 - our own guide
-    assert capsys.readouterr().out.startswith("held ")
 
 
 def ended(environment: Any, closing: float, lifting: float) -> tuple[float, dict[str, Any]]:

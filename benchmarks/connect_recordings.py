@@ -1,0 +1,116 @@
+"""Recordings for Rerun and LeRobot: what a frame costs, and that readers find what was written."""
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pyarrow.parquet
+from rerun.chunk import RrdReader
+from rerun.experimental import LeRobotReader
+
+import phytac_design.environments  # registers them
+from benchmarks.decoder_data import small_design
+from benchmarks.harness import Table
+from phytac_decoder.serving.wire_protocol import Message
+from phytac_design.core.lerobot_writer import LeRobotWriter, message_features, message_frame
+from phytac_design.core.rerun_recording import RerunRecorder
+from phytac_design.design.accuracy import Preset
+from phytac_design.environments.grasp_environment import designed_decoder
+from phytac_design.environments.grip_controller import GripController
+from phytac_design.stages.virtual_sensor_stage import virtual_sensor
+
+UNIT = 1
+CURVE = "/force/total_N"
+"""Entity of which each frame has one value."""
+
+
+def recorded(table: Table, *, quick: bool) -> None:
+    """Write the messages of a grasp many times over, and read them by Rerun's library."""
+    design, frames = small_design(), 300 if quick else 3000
+    accuracy: Preset = "draft" if quick else "standard"
+    bundle = designed_decoder(design, accuracy, print)
+    sensor = virtual_sensor(design, unit=UNIT, accuracy=accuracy, progress=print)
+    assert phytac_design.environments
+    environment = gymnasium.make("phytac/Ball-v0", design=design, bundle=bundle, sensor=sensor)
+    own, sent = environment.unwrapped, list[Message]()
+    controller, done = GripController(thing=own.thing), False
+    seen, _ = environment.reset(seed=0)
+    while not done:
+        seen, _, terminated, truncated, _ = environment.step(controller.act(seen))
+        sent.append(own.sensor.message())
+        done = terminated or truncated
+    stream = [
+        {**sent[k % len(sent)], "sequence": k, "timestamp_s": k / 30.0} for k in range(frames)
+    ]
+    total = np.array([message["total_N"] for message in stream])
+    markers = len(bundle.position_mm)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        with RerunRecorder(out / "out.rrd", bundle, 0.0) as recorder:
+            cost_ms = per_frame_ms(stream, recorder.add)
+        found = [
+            value[0]
+            for chunk in RrdReader(out / "out.rrd").stream()
+            if chunk.entity_path == CURVE
+            for value in chunk.to_record_batch().column("Scalars:scalars").to_pylist()
+        ]
+        rows(table, "Rerun", cost_ms, (out / "out.rrd").stat().st_size / frames)
+        same(table, "Rerun", np.array(found), total)
+        begin = time.process_time()
+        features = message_features(markers)
+        with LeRobotWriter(out / "grasps", fps=30, features=features) as writer:
+            for start in range(0, frames, len(sent)):
+                for message in stream[start : start + len(sent)]:
+                    writer.add(message_frame(message, markers))
+                writer.end_episode("squeeze the ball")
+        cost_ms = 1e3 * (time.process_time() - begin) / frames
+        files = sorted((out / "grasps").rglob("*.parquet"))
+        size = sum(path.stat().st_size for path in files) / frames
+        rows(table, "LeRobot", cost_ms, size)
+        data = [path for path in files if "data" in path.parts]
+        net = np.concatenate(
+            [
+                np.array(pyarrow.parquet.read_table(path)["observation.force"].to_pylist())
+                for path in data
+            ]
+        )
+        expected = np.array([message["net_force_N"] for message in stream])
+        same(table, "LeRobot", net, expected)
+        episodes = len(LeRobotReader(out / "grasps").episodes())
+        table.goal(
+            "LeRobot: episodes that Rerun's reader of LeRobot data sets finds",
+            100.0 * episodes / writer.episodes,
+            "%",
+            "== 100",
+            note=f"of {writer.episodes}",
+        )
+
+
+def per_frame_ms(stream: list[Message], add: Callable[[Message], None]) -> float:
+    """Processor time of a frame, with that of threads in the background."""
+    begin = time.process_time()
+    for message in stream:
+        add(message)
+    return 1e3 * (time.process_time() - begin) / len(stream)
+
+
+def rows(table: Table, name: str, cost_ms: float, size: float) -> None:
+    """What a frame costs."""
+    table.goal(f"{name}: processor time of a frame", cost_ms, "ms", "<= 2", note="112 markers")
+    table.add(f"{name}: size of a frame", size, "bytes", "none", "112 markers, grasp of a ball")
+
+
+def same(table: Table, name: str, found: np.ndarray, expected: np.ndarray) -> None:
+    """Whether what was read is what was written, to the digits of a 32-bit number."""
+    whole = found.shape == expected.shape
+    equal = whole and np.allclose(found, expected, rtol=1e-6, atol=1e-6)
+    table.goal(
+        f"{name}: frames read back with the forces that were written",
+        100.0 * float(equal),
+        "%",
+        "== 100",
+        note=f"{len(found)} of {len(expected)} frames",
+    )
