@@ -1,6 +1,9 @@
 """Recordings for Rerun, read by its own library."""
 
 import contextlib
+import signal
+import socket
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -11,6 +14,7 @@ import pytest
 
 from phytac_decoder.serving.wire_protocol import MessageBuilder
 from phytac_design.cli.serve_command import open_recorders, rows_text
+from phytac_design.core import rerun_recording
 from phytac_design.core.rerun_recording import RerunRecorder
 from tests.decoder.toy_sensor import toy_bundle, toy_recording
 from tests.refusals import refused
@@ -19,6 +23,8 @@ from tests.test_mcap import START_s, frames, messages
 
 rerun = pytest.importorskip("rerun", reason="rerun-sdk is not installed (extra rerun)")
 chunks = pytest.importorskip("rerun.chunk", reason="this rerun-sdk has no reader")
+
+UNFOOTED = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 
 
 def columns(path: Path) -> dict[str, list[Any]]:
@@ -65,7 +71,7 @@ def test_frames_are_what_the_stream_says(tmp_path: Path) -> None:
     assert found["force/regions/left\\ palm:Scalars:scalars"] == [[0.5], [0.5]]
 
 
-@pytest.mark.filterwarnings("ignore:RRD file has no footer")
+@UNFOOTED
 def test_a_kill_loses_less_than_a_second(tmp_path: Path) -> None:
     path = tmp_path / "out.rrd"
     recorder = recorded(path, messages(), 3)
@@ -91,26 +97,40 @@ def test_what_cannot_be_recorded_is_refused(
     assert not (tmp_path / "out.rrd").exists()
 
 
-def test_the_viewer_is_opened_beside_a_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    opened: list[Any] = []
-
-    def spawn(stream: Any) -> None:
-        opened.append(stream)
-        stream.save(tmp_path / "shown.rrd")
-
-    monkeypatch.setattr(rerun.RecordingStream, "spawn", spawn)
-    with contextlib.ExitStack() as stack:
-        kept = open_recorders(stack, tmp_path / "out.rrd", None, messages(), rerun=True)
-        for message in frames(messages(), 3):
-            for recorder in kept.values():
-                recorder.add(message)
-        assert rows_text(kept).endswith(", 3 rows in Rerun's viewer")
-    assert len(opened) == 1
-    shown, kept_file = columns(tmp_path / "shown.rrd"), columns(tmp_path / "out.rrd")
+@UNFOOTED
+def test_a_viewer_gets_what_a_file_gets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    monkeypatch.setattr(rerun_recording, "VIEWER_PORT", port)
+    words = ("--bind", "127.0.0.1", "--port", str(port), "--save", str(tmp_path / "shown.rrd"))
+    # Rerun's own program in the viewer's place: it needs no display.
+    listener = subprocess.Popen([sys.executable, "-m", "rerun", *words], stderr=subprocess.DEVNULL)
+    with listener:
+        while not rerun_recording._listens():
+            assert listener.poll() is None
+            time.sleep(0.05)
+        with contextlib.ExitStack() as stack:
+            kept = open_recorders(stack, tmp_path / "out.rrd", None, messages(), rerun=True)
+            for message in frames(messages(), 3):
+                for recorder in kept.values():
+                    recorder.add(message)
+            assert rows_text(kept).endswith(", 3 rows in Rerun's viewer")
+        listener.send_signal(signal.SIGINT)
+        listener.wait(20.0)
     name = "force/net_N:Scalars:scalars"
+    shown, kept_file = columns(tmp_path / "shown.rrd"), columns(tmp_path / "out.rrd")
     assert shown[name] == kept_file[name] == [[0.0, 0.0, -4.5]] * 2
+
+
+def test_without_a_display_the_error_names_a_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    monkeypatch.setattr(rerun_recording, "VIEWER_PORT", port)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with refused("viewer-not-opened") as found:
+        RerunRecorder(None, toy_bundle(), START_s)
+    assert "--record FILE.rrd" in str(found.value)
 
 
 def test_the_command(tmp_path: Path) -> None:

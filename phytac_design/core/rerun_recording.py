@@ -1,6 +1,10 @@
 """A force stream for Rerun: a file ``.rrd``, or its viewer."""
 
 import contextlib
+import socket
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,6 +16,10 @@ from phytac_shapes.errors import MissingPartError, OutputError
 
 ARROW_mm_N = 5.0
 """Length of a contact's arrow, as in the recordings with ROS 2 messages."""
+VIEWER_PORT = 9876
+"""Of Rerun's viewer on this machine, as Rerun has it."""
+OPENS_s, SETTLES_s = 15.0, 0.5
+"""Longest time in which a viewer opens; one without a display ends sooner than the second."""
 GREY, RED, BLUE = (150, 150, 150), (220, 40, 40), (40, 90, 220)
 
 
@@ -21,7 +29,8 @@ class RerunRecorder:
     Parameters
     ----------
     path : Path or None
-        File to make; None opens the viewer instead.
+        File to make; None shows the stream in the viewer of this machine, which is opened if none
+        is. It listens to this machine alone.
     bundle : Bundle
         The sensor's decoder.
     started_unix_s : float
@@ -42,7 +51,8 @@ class RerunRecorder:
         self._stream = self._rerun.RecordingStream(f"phytac {bundle.design}")
         try:
             if path is None:
-                self._stream.spawn()
+                _open_viewer()
+                self._stream.connect_grpc(f"rerun+http://127.0.0.1:{VIEWER_PORT}/proxy")
             else:
                 path.open("xb").close()
                 self._stream.save(path)
@@ -50,10 +60,9 @@ class RerunRecorder:
             raise OutputError(
                 "output-exists", f"{path} is there already; choose another name, or remove it"
             ) from None
-        except (OSError, RuntimeError) as error:
-            where = path or "Rerun's viewer"
+        except OSError as error:
             raise OutputError(
-                "output-not-writable", f"{where} cannot be written ({error})"
+                "output-not-writable", f"{path} cannot be written ({error.strerror or error})"
             ) from None
         self._log("sensor/markers", "Points3D", self._position_mm, colors=GREY, static=True)
 
@@ -107,6 +116,47 @@ def _label(contact: Message) -> str:
     """Text at a contact's arrow: its force and, where known, the standard deviation."""
     spread = f" ± {contact['sd_N']:.1f}" if "sd_N" in contact else ""
     return f"{contact['force_N']:.1f}{spread} N"
+
+
+def _open_viewer() -> None:
+    """Open Rerun's viewer on this machine, unless one listens.
+
+    Raises
+    ------
+    OutputError
+        If it does not open.
+    """
+    if _listens():
+        return
+    words = ("-m", "rerun", "--bind", "127.0.0.1", "--port", str(VIEWER_PORT))
+    process = subprocess.Popen(
+        [sys.executable, *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # it stays when the command ends
+    )
+    end_s = time.monotonic() + OPENS_s
+    while process.poll() is None and time.monotonic() < end_s:
+        if _listens():
+            time.sleep(SETTLES_s)
+            if process.poll() is None:
+                return
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    raise OutputError(
+        "viewer-not-opened",
+        "Rerun's viewer did not open; it needs a display. Record with --record FILE.rrd, and open "
+        "that where there is one: rerun FILE.rrd",
+    )
+
+
+def _listens() -> bool:
+    """Whether a viewer listens on this machine."""
+    with socket.socket() as link:
+        link.settimeout(0.5)
+        return link.connect_ex(("127.0.0.1", VIEWER_PORT)) == 0
 
 
 def _library() -> Any:
