@@ -3,15 +3,11 @@
 import time
 from dataclasses import replace
 
-import gymnasium
 import numpy as np
 
-import phytac_design.environments  # registers them
 from benchmarks.decoder_data import small_design
 from benchmarks.harness import Table
 from phytac_design.design.accuracy import Preset
-from phytac_design.environments.grasp_environment import designed_decoder
-from phytac_design.environments.grip_controller import GripController
 from phytac_design.stages.virtual_sensor_stage import virtual_sensor
 
 UNIT = 1
@@ -23,7 +19,11 @@ LOOP = 20_000_000
 
 def grasped(table: Table, *, quick: bool) -> None:
     """Grasp each object a number of times; the frame's cost includes MuJoCo and the controller."""
-    assert phytac_design.environments
+    import gymnasium
+
+    from phytac_design.environments.grasp_environment import designed_decoder
+    from phytac_design.environments.grip_controller import GripController
+
     design, episodes = small_design(), 2 if quick else 20
     accuracy: Preset = "draft" if quick else "standard"
     bundle = designed_decoder(design, accuracy, print)

@@ -5,21 +5,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pyarrow.parquet
-from rerun.chunk import RrdReader
-from rerun.experimental import LeRobotReader
 
-import phytac_design.environments  # registers them
 from benchmarks.decoder_data import small_design
 from benchmarks.harness import Table
 from phytac_decoder.serving.wire_protocol import Message
 from phytac_design.core.lerobot_writer import LeRobotWriter, message_features, message_frame
 from phytac_design.core.rerun_recording import RerunRecorder
 from phytac_design.design.accuracy import Preset
-from phytac_design.environments.grasp_environment import designed_decoder
-from phytac_design.environments.grip_controller import GripController
 from phytac_design.stages.virtual_sensor_stage import virtual_sensor
 
 UNIT = 1
@@ -29,11 +23,17 @@ CURVE = "/force/total_N"
 
 def recorded(table: Table, *, quick: bool) -> None:
     """Write the messages of a grasp many times over, and read them by Rerun's library."""
+    import gymnasium
+    from rerun.chunk import RrdReader
+    from rerun.experimental import LeRobotReader
+
+    from phytac_design.environments.grasp_environment import designed_decoder
+    from phytac_design.environments.grip_controller import GripController
+
     design, frames = small_design(), 300 if quick else 3000
     accuracy: Preset = "draft" if quick else "standard"
     bundle = designed_decoder(design, accuracy, print)
     sensor = virtual_sensor(design, unit=UNIT, accuracy=accuracy, progress=print)
-    assert phytac_design.environments
     environment = gymnasium.make("phytac/Ball-v0", design=design, bundle=bundle, sensor=sensor)
     own, sent = environment.unwrapped, list[Message]()
     controller, done = GripController(thing=own.thing), False
