@@ -80,8 +80,8 @@ def grasped(table: Table, *, quick: bool) -> None:
             float(np.median(rates)),
             "1/s",
             ">= 200",
-            note=f"median of {episodes} episodes, {min(rates):.0f} to {max(rates):.0f}; {steps} steps, "
-            f"each a frame of 30 Hz: {own.sensor.steps_per_frame} steps of "
+            note=f"median of {episodes} episodes, {min(rates):.0f} to {max(rates):.0f}; "
+            f"{steps} steps, each a frame of 30 Hz: {own.sensor.steps_per_frame} steps of "
             f"MuJoCo and a decoded frame; 20 million iterations of an empty loop of Python took "
             f"{before_s:.2f} s before and {loop_seconds():.2f} s after",
         )
