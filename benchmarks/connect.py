@@ -200,8 +200,8 @@ def speeds(table: Table, name: str, rig: PressRig, sensor: PhytacMujoco, drawn: 
             200.0 if every else "none",
             "project target for the sensor in a loop" if every else "MuJoCo alone, one ball",
             target=target,
-            note=f"fastest of {len(rates)} runs of {steps} steps, slowest {min(rates):.0f}; 20 million "
-            f"iterations of an empty loop of Python took {before_s:.2f} s before and "
+            note=f"fastest of {len(rates)} runs of {steps} steps, slowest {min(rates):.0f}; "
+            f"20 million iterations of an empty loop of Python took {before_s:.2f} s before and "
             f"{loop_seconds():.2f} s after",
         )
 
