@@ -180,6 +180,7 @@ def build(
 def _verdict(report: dict[str, Any]) -> str:
     """Figures that decide whether a sensor is good, each with what it needs."""
     from phytac_design.optics.loaded_visibility import FUSED_PX
+    from phytac_design.report.verdict import decoded
 
     seen = report["visibility"]
     bound = report["resolution"]["bound"]["10 N"]
@@ -187,7 +188,8 @@ def _verdict(report: dict[str, Any]) -> str:
         f"{report['markers']['count']} markers: {seen['occluded']} hidden, {seen['fused']} fused "
         f"(must be 0), smallest gap of one colour {seen['min_gap_px']:.1f} px (needs more than "
         f"{FUSED_PX:g}). {report['under_load']['sentence']} 10 N has at best a standard deviation "
-        f"of {bound['force_N_median']:.2f} N (median over the receptors; less is better)"
+        f"of {bound['force_N_median']:.2f} N (median over the receptors; less is better). "
+        f"{decoded(report)}"
     )
 
 

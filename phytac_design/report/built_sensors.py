@@ -98,15 +98,15 @@ FIGURES = (
     ),
     ComparedFigure(
         "error_percent",
-        "force error, held-out contacts, simulated (%)",
+        "relative error, held-out contacts, simulated (%)",
         "decoder/*/relative_error",
         "less",
         100.0,
     ),
-    ComparedFigure("error_N", "the same, mean absolute (N)", "decoder/*/mae_N", "less"),
+    ComparedFigure("error_N", "absolute error, the same contacts (N)", "decoder/*/mae_N", "less"),
     ComparedFigure(
         "error_frames_percent",
-        "force error through rendered frames (%)",
+        "relative error, rendered frames (%)",
         "decoder_frames/*/relative_error",
         "less",
         100.0,

@@ -37,7 +37,7 @@ def score_table(
     head = (
         "estimator",
         "relative error (%)",
-        "MAE (N)",
+        "absolute error (N)",
         "SD (N)",
         "below 5 N (%)",
         "from 5 N (%)",

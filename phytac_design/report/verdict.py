@@ -233,19 +233,23 @@ def percent(score: Mapping[str, Any]) -> str:
     return DASH if missing(error) else f"{100.0 * error:.1f} %"
 
 
+def decoded(report: Mapping[str, Any]) -> str:
+    """How well the build's own test contacts were decoded, without a full stop."""
+    best = best_of(report)
+    frames, points = report["decoder_frames"][best], report["decoder"][best]
+    if not points["samples"]:
+        return "No simulated contact tripped a switch, so none could be decoded"
+    return (
+        f"Simulated contacts are decoded with a relative error of {percent(points)} and an "
+        f"absolute error of {points['mae_N']:.2f} N (means of {points['samples']} held-out ones), "
+        f"in rendered frames of {percent(frames)} ({frames['samples']}), by the estimator {best}"
+    )
+
+
 def lead(report: Mapping[str, Any]) -> str:
     """Verdict at the top of the page, as HTML: four answers, and what to change."""
     found = findings(report)
     markers = report["markers"]
-    best = best_of(report)
-    frames, points = report["decoder_frames"][best], report["decoder"][best]
-    decoded = (
-        f"Simulated contacts decode to {percent(points)} and {points['mae_N']:.2f} N (mean "
-        f"errors of {points['samples']} held-out ones), through rendered frames to "
-        f"{percent(frames)} ({frames['samples']}), by the estimator {best}"
-        if points["samples"]
-        else "No simulated contact tripped a switch, so none could be decoded"
-    )
     answers = "".join(
         answer(matter, [item for item in found if item.matter == matter])
         for matter in get_args(Matter)
@@ -254,7 +258,7 @@ def lead(report: Mapping[str, Any]) -> str:
         f"<p>{escape(report['description'])}</p>"
         f'<div class="verdict {worst(found)}"><p>{markers["count"]} markers, '
         f"{markers['density_per_cm2']:.2f} per cm² of a surface {escape(markers['surface_class'])} "
-        f"to the optical axis. {decoded}.</p></div>"
+        f"to the optical axis. {decoded(report)}.</p></div>"
         f'<div class="answers">{answers}</div>{change_list(report.get("changes", []))}'
         f'<p class="note">{SIMULATED}</p>'
     )
