@@ -16,13 +16,17 @@ from phytac_design.design.spec import Design
 from phytac_design.design.unit_hints import unit_hints
 from phytac_design.rules.check import RULES, broken_rules, check_design
 from phytac_design.rules.design_review import checkup
-from phytac_design.study.advice.quick_repair import quick_repair, readable_tips, seen_at_rest
+from phytac_design.study.advice.quick_repair import quick_repair, readable_switches, seen_at_rest
+from phytac_design.workflows import design_check
+from phytac_design.workflows.design_check import unreadable_fault
 from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 from tests.refusals import refused
 from tests.test_cli import phytac
 
 COARSE = {"width_px": 432, "height_px": 324, "focal_px": 161.0}
+READING = {"width_px": 648, "height_px": 486, "focal_px": 241.5}
+"""Enough pixels to read all switches."""
 
 
 def codes(**tables: Any) -> list[str]:
@@ -148,9 +152,13 @@ def test_a_broken_rule_is_repaired_as_well() -> None:
     assert checkup(rows.design)["clear"]
 
 
-def test_tips_that_rest_deeper_are_read() -> None:
-    camera = {"width_px": 864, "height_px": 648, "focal_px": 322.0}
-    pad = changed("plane", layout={"rows": 5, "columns": 5}, camera=camera)
+def pad(**camera: Any) -> Design:
+    """A plane whose camera looks straight into some holes."""
+    camera = {"width_px": 864, "height_px": 648, "focal_px": 322.0, **camera}
+    return changed("plane", layout={"rows": 5, "columns": 5}, camera=camera)
+
+
+def test_changes_of_tips_and_camera_are_tried_until_switches_are_read() -> None:
     asked: list[float] = []
 
     def fits(design: Design) -> None:
@@ -158,16 +166,42 @@ def test_tips_that_rest_deeper_are_read() -> None:
         if design.switch.stroke_mm > 1.5:
             raise DesignError("switch-infeasible", "too shallow a bowl; raise the footprint")
 
-    found = readable_tips(pad, fits=lambda _: None)
-    assert found is not None
-    repair, before, after = found
-    assert after <= 2 * before / 3
-    assert repair.words == "switch.tip_recess_mm 0.3 → 0.8, switch.stroke_mm 1.5 → 2"
-    assert seen_at_rest(check_design(repair.design)).switch_unreadable.sum() == after
+    found = readable_switches(pad(), fits=lambda _: None)
+    best = found[0]
+    assert not best.reason
+    assert best.after <= 2 * best.before / 3
+    assert seen_at_rest(check_design(best.design)).switch_unreadable.sum() == best.after
+    deeper = "switch.tip_recess_mm 0.3 → 0.8, switch.stroke_mm 1.5 → 2"
+    assert deeper in {one.words for one in found}
     # Switches that cannot be made are no cure.
-    other = readable_tips(pad, fits=fits)
-    assert other is None or other[0].design.switch.stroke_mm == 1.5
+    other = readable_switches(pad(), fits=fits)
     assert asked[0] == 2.0
+    assert all(one.design.switch.stroke_mm == 1.5 for one in other if not one.reason)
+    assert any("too shallow a bowl" in one.reason for one in other)
+    # Without time nothing is tried.
+    assert readable_switches(pad(), fits=fits, seconds=-1.0) == []
+
+
+def test_a_quarter_of_the_switches_may_be_unreadable(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert unreadable_fault(25, 100) is None
+    fault = unreadable_fault(26, 100)
+    assert fault is not None
+    assert fault.code == "switch-unreadable"
+    monkeypatch.setattr(design_check, "check_thresholds", lambda *_, **__: None)
+    monkeypatch.setattr(check_command, "LOOK_S", 0.0)
+    path = tmp_path / "pad.toml"
+    path.write_text(to_toml(pad(stand_off_mm=75.0)))
+    with pytest.raises(typer.Exit):
+        check_command.check(str(path))
+    out, err = capsys.readouterr()
+    assert "error[switch-unreadable]: the camera cannot read" in err
+    assert "of 25 switches cannot be read, too many (see the error)" in out.splitlines()[-1]
+    with pytest.raises(typer.Exit):
+        check_command.check(str(path), as_json=True)
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["visible"], facts["clear"]) == (True, False)
 
 
 def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
@@ -176,7 +210,7 @@ def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
         path.write_text(to_toml(small(**tables)))
         return phytac("check", "mine.toml", *words, cwd=tmp_path)
 
-    good = run(camera=COARSE)
+    good = run(camera=READING)
     assert good.returncode == 0
     verdict, after = good.stdout.splitlines()[-2:]
     assert verdict.startswith("every marker is visible and can be distinguished")

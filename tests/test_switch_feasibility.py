@@ -15,7 +15,7 @@ from phytac_design.workflows.switch_feasibility import check_thresholds
 from phytac_shapes.errors import DesignError
 from tests.designs import small
 from tests.refusals import refused
-from tests.test_check_faults import COARSE
+from tests.test_check_faults import READING
 
 RANGE = FeasibleRange(modulus_MPa=10.0, min_N=0.4, max_N=0.9, min_wall_mm=0.2, max_wall_mm=0.28)
 WEAK: dict[str, Any] = {"threshold_N": 0.1, "release_N": 0.08}
@@ -59,7 +59,7 @@ def test_known_switches_are_not_solved_again(
     solved: list[float], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     check_thresholds(small())
-    check_thresholds(small(camera=COARSE))
+    check_thresholds(small(camera=READING))
     assert solved == [0.5]
     check_thresholds(small(switch={"modulus_MPa": 9.0}))
     check_thresholds(small(switch={"footprint_diameter_mm": 3.9}))
@@ -78,7 +78,7 @@ def test_the_check_lists_thresholds_with_other_faults(
     path = tmp_path / "mine.toml"
 
     def run(*, as_json: bool = False, **tables: Any) -> tuple[str, str]:
-        path.write_text(to_toml(small(camera=COARSE, **tables)))
+        path.write_text(to_toml(small(camera=READING, **tables)))
         with pytest.raises(typer.Exit):
             check_command.check(str(path), as_json=as_json)
         out = capsys.readouterr()

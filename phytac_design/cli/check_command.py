@@ -1,6 +1,5 @@
 """``phytac check``: rules, visibility and density of a design."""
 
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -11,6 +10,7 @@ from phytac_shapes.errors import DesignError, PhytacError
 
 if TYPE_CHECKING:
     from phytac_design.design.spec import Design
+    from phytac_design.study.advice.quick_repair import ReadableRepair
 
 BLIND_SHARE = 0.1
 """Above this share of switches that cannot be read, a cure is looked for."""
@@ -25,52 +25,38 @@ def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = Fa
     """
     from phytac_design.design.design_file import load_design
     from phytac_design.design.unit_hints import unit_hints
-    from phytac_design.rules.design_review import checkup
+    from phytac_design.workflows.design_check import full_check
 
     loaded = load_design(design)
     try:
-        report = checkup(loaded, seed=seed)
+        report = full_check(loaded, seed=seed, progress=say)
     except DesignError as error:
         _print_faults(loaded, error, as_json=as_json)
         if not as_json and not unit_hints(loaded.model_dump()):
             _suggest_repair(design, refused=True, seed=seed)
         raise typer.Exit(error.exit_code) from None
-    fault, visible = _switch_fault(loaded), report["clear"]
-    if fault:
-        report |= {"clear": False, "faults": [_fault_facts(fault)]}
     if as_json:
         print_json(report)
-        _warn(report, fault)
+        _warn(report)
     else:
         _print_check(report)
-        _warn(report, fault)
-        if report["clear"] and _blind_share(report) > BLIND_SHARE:
-            _suggest_tips(loaded, report["visibility"]["switch_unreadable"], seed=seed)
-        typer.echo(_verdict(report, visible=visible))
+        _warn(report)
+        if report["visible"] and _blind_share(report) > BLIND_SHARE:
+            _suggest_tips(loaded, report, seed=seed)
+        typer.echo(_verdict(report))
         if report["clear"]:
             next_step(f"phytac build {design}")
-        elif not visible:
+        elif not report["visible"]:
             _suggest_repair(design, refused=False, seed=seed)
     if not report["clear"]:
         raise typer.Exit(DesignError.exit_code)
 
 
-def _warn(report: dict[str, Any], fault: DesignError | None) -> None:
+def _warn(report: dict[str, Any]) -> None:
     for warning in report["warnings"]:
         say(f"warning: {warning}")
-    if fault:
-        say(f"error[{fault.code}]: {fault}")
-
-
-def _switch_fault(design: "Design") -> DesignError | None:
-    """The error of thresholds that no bowl has, if there are some."""
-    from phytac_design.workflows.switch_feasibility import check_thresholds
-
-    try:
-        check_thresholds(design, progress=say)
-    except DesignError as error:
-        return error
-    return None
+    for fault in report.get("faults", ()):
+        say(f"error[{fault['code']}]: {fault['text']}")
 
 
 def _fault_facts(fault: PhytacError) -> dict[str, str]:
@@ -162,13 +148,16 @@ def _print_effort(effort: dict[str, Any]) -> None:
         say(f"warning: no molds can be planned: {effort['left_out']}")
 
 
-def _verdict(report: dict[str, Any], *, visible: bool) -> str:
+def _verdict(report: dict[str, Any]) -> str:
+    visible = report["visible"]
     verdict = "every marker is visible and can be distinguished" if visible else report["advice"]
-    if "faults" in report:
+    codes = {fault["code"] for fault in report.get("faults", ())}
+    if codes - {"switch-unreadable"}:
         verdict += "; its switches cannot be made (see the error)"
     blind = report["visibility"].get("switch_unreadable", 0)
     if blind:
-        verdict += f"; about {blind} switches cannot be read"
+        verdict += f"; about {blind} of {report['markers']['count']} switches cannot be read"
+        verdict += ", too many (see the error)" if "switch-unreadable" in codes else ""
     return f"{verdict} ({report['seconds']:.1f} s)"
 
 
@@ -179,27 +168,34 @@ def _blind_share(report: dict[str, Any]) -> float:
     return blind / markers
 
 
-def _suggest_tips(design: "Design", blind: int, *, seed: int) -> None:
+def _suggest_tips(design: "Design", report: dict[str, Any], *, seed: int) -> None:
     """Say why many switches cannot be read, what that costs, and what helps."""
-    from phytac_design.study.advice.quick_repair import readable_tips
+    from phytac_design.study.advice.quick_repair import readable_switches
+    from phytac_design.workflows.design_check import unreadable_fault
     from phytac_design.workflows.switch_feasibility import check_thresholds
 
+    blind, count = report["visibility"]["switch_unreadable"], report["markers"]["count"]
     typer.echo(
-        f"the camera looks straight into the holes of {blind} switches and sees their tips at rest "
-        "too: contacts on them are found by the markers' motion alone, from larger forces on"
+        f"the tips of {blind} of {count} switches show too little more red when they are out than "
+        "at rest: contacts on them are found by the markers' motion alone, from larger forces on"
     )
-    say(f"looking for tips that it can read, for {LOOK_S:g} s at most (Ctrl-C to stop)")
-    found = None
-    with resumable("stopped looking"), suppress(TimeLimitError), time_limit(LOOK_S):
-        found = readable_tips(design, fits=check_thresholds, seed=seed)
-    if found:
-        repair, before, after = found
-        typer.echo(f"  {repair.words} leaves {after} of the {before}")
-    else:
+    say(f"looking for switches that it can read, for about {LOOK_S:g} s (Ctrl-C to stop)")
+    found: list[ReadableRepair] = []
+    with resumable("stopped looking"):
+        try:
+            with time_limit(2.0 * LOOK_S):
+                found = readable_switches(design, fits=check_thresholds, seed=seed, seconds=LOOK_S)
+        except TimeLimitError:
+            pass
+    best = found[0] if found else None
+    if best is None or best.reason:
         typer.echo(
-            "  move the camera nearer (camera.stand_off_mm), or leave the switches out "
-            "(receptor.diameter_hole_mm = 0)"
+            "  no deeper tips, and no nearer, finer or second camera that were tried help: leave "
+            "the switches out (receptor.diameter_hole_mm = 0)"
         )
+        return
+    start = "this helps" if unreadable_fault(best.after, count) else "this repairs it"
+    typer.echo(f"  {start}: {best.words} ({best.after} of {count} cannot be read then)")
 
 
 def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:

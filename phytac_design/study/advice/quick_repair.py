@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.design.spec import Design
+from phytac_design.layout.cameras import stand_off_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.loaded_visibility import FUSED_PX
 from phytac_design.optics.render_scene import BAR
@@ -36,13 +36,10 @@ RULES: dict[str, tuple[int, ...]] = {
     "wall.thickness_mm": (1, 2, 4, 8, -4),
 }
 """Variables that are tried first where a rule is broken."""
-DEEPER_TIPS_mm = (
-    {"tip_recess_mm": 0.3},
-    {"tip_recess_mm": 0.6},
-    {"tip_recess_mm": 0.3, "stroke_mm": 0.3},
-    {"tip_recess_mm": 0.5, "stroke_mm": 0.5},
-)
-"""Changes with which a resting tip is seen less."""
+DEEPER_mm, NEARER = 0.5, 0.7
+"""Tips rest and move this much farther; cameras stand at this multiple of their distance."""
+READABLE_SHARE = 0.9
+"""With this share of readable switches no further change is tried."""
 MORE_PIXELS = (1.5, 2.0, 3.0)
 """Cameras with this many times the pixels along each side are tried after the variables."""
 
@@ -64,6 +61,23 @@ class Repair:
     words: str
     fields: dict[str, Any]
     design: Design
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadableRepair(Repair):
+    """A change with which the camera may read more switches.
+
+    Attributes
+    ----------
+    before, after : int
+        Switches that the camera cannot read, without and with the change.
+    reason : str
+        Why it is no repair; "" if it is one.
+    """
+
+    before: int
+    after: int
+    reason: str
 
 
 def seen_at_rest(sensor: Sensor, *, seed: int = 0) -> Visibility:
@@ -117,55 +131,91 @@ def quick_repair(
     return None
 
 
-def readable_tips(
+def readable_switches(
     design: Design,
     *,
     fits: Callable[[Design], None],
     seed: int = 0,
+    seconds: float = 25.0,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[Repair, int, int] | None:
-    """Recess and stroke of the switches' tips with which the camera reads more of them.
+) -> list[ReadableRepair]:
+    """Changes of tips and camera with which the camera reads more switches.
 
-    A camera that looks straight into a hole sees a resting tip too, unless it rests deeper.
+    A camera that looks straight into a hole sees a resting tip too, unless it rests deeper, or the
+    camera stands nearer and so looks at most holes aslant. A coarse one sees too few pixels of red.
 
     Parameters
     ----------
     fits : callable
         Raises an error for a design whose switches cannot be made.
+    seconds : float
+        No change is tried after this time.
 
     Returns
     -------
-    repair, before, after : Repair, int and int
-        The change, and how many switches cannot be read; None if none that was tried leaves at most
-        two thirds of them.
+    list of ReadableRepair
+        All that were tried; those that help come first, with the fewest unreadable switches.
 
     Raises
     ------
     DesignError
         If the design breaks a rule.
     """
-    before = int(seen_at_rest(check_design(design), seed=seed).switch_unreadable.sum())
-    tried: list[tuple[int, Repair]] = []
-    for changes_mm in DEEPER_TIPS_mm:
-        fields = {
-            f"switch.{name}": round(getattr(design.switch, name) + change_mm, 3)
-            for name, change_mm in changes_mm.items()
-        }
+    start = time.monotonic()
+    sensor = check_design(design)
+    before = int(seen_at_rest(sensor, seed=seed).switch_unreadable.sum())
+    tried: list[ReadableRepair] = []
+    for fields in _readable_fields(sensor):
+        if time.monotonic() - start > seconds:
+            break
         words = _words(design, fields)
         progress(f"trying {words}")
-        with suppress(PhytacError):
+        after, reason, changed = before, "", design
+        try:
             changed = with_fields(design, fields)
             seen = seen_at_rest(check_design(changed), seed=seed)
-            if seen.clear.all():
-                repair = Repair(words=words, fields=fields, design=changed)
-                tried.append((int(seen.switch_unreadable.sum()), repair))
-    for after, repair in sorted(tried, key=lambda item: item[0]):
-        if after > 2 * before / 3:
+            after = int(seen.switch_unreadable.sum())
+            if not seen.clear.all():
+                reason = f"{int((~seen.clear).sum())} markers are hidden or fused then"
+            elif after > 2 * before / 3:
+                reason = f"{after} of {before} unreadable switches remain so"
+            else:
+                fits(changed)
+        except PhytacError as error:
+            reason = str(error)
+        tried.append(
+            ReadableRepair(
+                words=words,
+                fields=fields,
+                design=changed,
+                before=before,
+                after=after,
+                reason=reason,
+            )
+        )
+        if not reason and after <= (1.0 - READABLE_SHARE) * sensor.markers.count:
             break
-        with suppress(PhytacError):
-            fits(repair.design)
-            return repair, before, after
-    return None
+    return sorted(tried, key=lambda one: (bool(one.reason), one.after))
+
+
+def _readable_fields(sensor: Sensor) -> Iterator[dict[str, Any]]:
+    """Fields of deeper tips, of a nearer camera, of both, and of other cameras."""
+    design = sensor.design
+    stand_off = stand_off_mm(design, sensor.surface, sensor.cameras[0])
+    tips = {
+        times: {
+            f"switch.{name}": round(getattr(design.switch, name) + times * DEEPER_mm, 3)
+            for name in ("tip_recess_mm", "stroke_mm")
+        }
+        for times in (0.6, 1.0)
+    }
+    nearer = {"camera.stand_off_mm": round(NEARER * stand_off, 1)}
+    yield tips[1.0]
+    yield nearer
+    yield tips[1.0] | nearer
+    yield from _other_cameras(design)
+    yield tips[0.6]
+    yield {"switch.tip_recess_mm": tips[0.6]["switch.tip_recess_mm"]}
 
 
 def _fitted(design: Design) -> Iterator[tuple[str, Fields]]:
@@ -196,10 +246,12 @@ def _words(design: Design, fields: Fields) -> str:
     """Numbers and words that change, for a reader."""
     places = {name: name.split(".") for name in fields}
     now = {name: getattr(getattr(design, table), own) for name, (table, own) in places.items()}
+
+    def shown(value: float | str) -> str:
+        return value if isinstance(value, str) else f"{value:.5g}"
+
     return ", ".join(
-        f"{name} {now[name]:.5g} → {new:.5g}"
-        if isinstance(new, int | float)
-        else f"{name} {now[name]} → {new}"
+        f"{name} {shown(now[name])} → {shown(new)}"
         for name, new in fields.items()
         if isinstance(new, int | float | str)
     )

@@ -1,0 +1,69 @@
+"""Verdict on a design, the same for ``phytac check``, ``phytac advise`` and the studio."""
+
+from collections.abc import Callable
+from typing import Any
+
+from phytac_design.design.spec import Design
+from phytac_design.rules.design_review import checkup
+from phytac_design.workflows.switch_feasibility import check_thresholds
+from phytac_shapes.errors import DesignError
+
+UNREADABLE_SHARE_MAX = 0.25
+"""A design passes with up to this share of switches that the camera cannot read: shipped designs
+have up to 17 % of them (``patch``), on which contacts are found by the markers' motion alone."""
+
+
+def full_check(
+    design: Design, *, seed: int = 0, progress: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
+    """Report of the check, with the faults of the switches.
+
+    Returns
+    -------
+    dict
+        As :func:`~phytac_design.rules.design_review.checkup`; ``visible`` says whether every marker
+        is, ``faults`` lists code and text of each fault of the switches, if there are some, and
+        ``clear`` is false then.
+
+    Raises
+    ------
+    DesignError
+        If the design cannot be printed or seen at all.
+    """
+    report = checkup(design, seed=seed)
+    report["visible"] = report["clear"]
+    blind = report["visibility"].get("switch_unreadable", 0)
+    faults = [
+        {"code": fault.code, "text": str(fault)}
+        for fault in (
+            unreadable_fault(blind, report["markers"]["count"]),
+            threshold_fault(design, progress=progress),
+        )
+        if fault
+    ]
+    return report | ({"clear": False, "faults": faults} if faults else {})
+
+
+def unreadable_fault(unreadable: int, switches: int) -> DesignError | None:
+    """Error of a design with too many switches that the camera cannot read, if it is one."""
+    if unreadable <= UNREADABLE_SHARE_MAX * switches:
+        return None
+    return DesignError(
+        "switch-unreadable",
+        f"the camera cannot read {unreadable} of {switches} switches, and at most "
+        f"{UNREADABLE_SHARE_MAX:.0%} may be unreadable: their tips show too little more red when "
+        "they are out than at rest; let tips rest deeper and move farther (switch.tip_recess_mm, "
+        "switch.stroke_mm), move the camera nearer (camera.stand_off_mm), take one with more "
+        "pixels, or leave the switches out (receptor.diameter_hole_mm = 0)",
+    )
+
+
+def threshold_fault(
+    design: Design, *, progress: Callable[[str], None] = lambda _: None
+) -> DesignError | None:
+    """Error of thresholds that no bowl has, if there are some."""
+    try:
+        check_thresholds(design, progress=progress)
+    except DesignError as error:
+        return error
+    return None
