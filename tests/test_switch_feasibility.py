@@ -10,6 +10,7 @@ import typer
 from phytac_design.cli import check_command, new_command
 from phytac_design.design.design_file import to_toml
 from phytac_design.mechanics.switch.feasible_range import FeasibleRange
+from phytac_design.study.advice.switch_changes import threshold_changes
 from phytac_design.workflows import switch_feasibility
 from phytac_design.workflows.switch_feasibility import check_thresholds
 from phytac_shapes.errors import DesignError
@@ -99,6 +100,17 @@ def test_the_check_lists_thresholds_with_other_faults(
     err = run(switch={**WEAK, "footprint_diameter_mm": 20.0})[1]
     assert "error[switches-overlap]" in err
     assert "switch-infeasible" not in err
+
+
+def test_advice_tries_a_modulus_and_the_nearest_threshold() -> None:
+    modulus, threshold = threshold_changes(small(switch=WEAK), {})
+    # The rubber's range is the same at each modulus here, so that this one is no cure.
+    assert modulus.words == "switch.modulus_MPa 0 → 1.7"
+    assert modulus.reason.startswith("breaks a rule: a switch of 0.1 N does not fit")
+    assert threshold.words == "switch.threshold_N 0.1 → 0.42, switch.release_N 0.08 → 0.34"
+    assert threshold.reason == ""
+    assert threshold.design is not None
+    check_thresholds(threshold.design)
 
 
 def test_a_new_design_has_a_rubber_for_its_threshold() -> None:

@@ -25,12 +25,12 @@ from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.optics.visibility import FRACTION_MIN, heights_face
 from phytac_design.report.press_pictures import window
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
-from phytac_design.rules.design_review import checkup
 from phytac_design.studio.latest_only import Check, SupersededError
 from phytac_design.study.search.fidelity_levels import Candidate, outlined_gap_px, rules
 from phytac_design.study.search.measures import MEASURES
 from phytac_design.study.search.study_file import Study, Variable
 from phytac_design.study.search.surrogate import predict
+from phytac_design.workflows.design_check import full_check
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, PhytacError
 
@@ -159,9 +159,11 @@ def exact(design: Design) -> Json:
     DesignError
         If the design breaks a rule.
     """
-    report = checkup(design)
+    report = full_check(design)
     return {
         "clear": report["clear"],
+        "visible": report["visible"],
+        "faults": report.get("faults", []),
         "advice": report["advice"],
         "warnings": report["warnings"],
         "visibility": finite(report["visibility"]),

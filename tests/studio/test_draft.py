@@ -13,9 +13,10 @@ import pytest
 from phytac_design.design.design_file import parse_design
 from phytac_design.layout.cameras import camera_of
 from phytac_design.rules.design_review import checkup
-from phytac_design.studio.draft import draft, id_image, small_camera
+from phytac_design.studio.draft import draft, exact, id_image, small_camera
 from phytac_design.studio.form import WHEN, error_body, field_paths, form
 from phytac_design.studio.latest_only import Check, LatestOnlyExecutor, SupersededError
+from phytac_design.workflows import design_check
 from phytac_shapes.errors import DesignError
 from tests.studio.place import Client
 
@@ -34,20 +35,33 @@ def test_a_draft_has_what_the_check_finds(client: Client, data: Json) -> None:
     status, drawn = client.post("api/draft", {"data": data, "source": "short.toml", "tab": "a"})
     assert status == 200
     assert drawn["refused"] == ""
-    found, exact = measured(drawn), checkup(parse_design(data, ""))
-    assert found["marker_count"] == exact["markers"]["count"] == 112
-    assert found["density_mean_per_cm2"] == pytest.approx(exact["markers"]["density_per_cm2"])
-    assert found["sampled_hidden"] == exact["visibility"]["occluded"] == 0
+    found, facts = measured(drawn), checkup(parse_design(data, ""))
+    assert found["marker_count"] == facts["markers"]["count"] == 112
+    assert found["density_mean_per_cm2"] == pytest.approx(facts["markers"]["density_per_cm2"])
+    assert found["sampled_hidden"] == facts["visibility"]["occluded"] == 0
     assert found["sampled_visible_least"] == pytest.approx(
-        exact["visibility"]["min_visible_fraction"], abs=0.05
+        facts["visibility"]["min_visible_fraction"], abs=0.05
     )
-    assert drawn["cameras"][0]["stand_off_mm"] == pytest.approx(exact["stand_off_mm"])
+    assert drawn["cameras"][0]["stand_off_mm"] == pytest.approx(facts["stand_off_mm"])
     assert drawn["resolved"]["layout"]["rows"] == 8
     status, checked = client.post("api/check", {"data": data, "source": "", "tab": "a"})
     assert status == 200
     for key in ("warnings", "advice", "clear"):
-        assert checked[key] == exact[key]
-    assert checked["occluded"] == exact["occluded_markers"]
+        assert checked[key] == facts[key]
+    assert checked["occluded"] == facts["occluded_markers"]
+    assert (checked["visible"], checked["faults"]) == (facts["clear"], [])
+
+
+def test_the_studio_rejects_the_switches_that_the_check_rejects(
+    data: Json, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def cannot(*_: object, **__: object) -> None:
+        raise DesignError("switch-infeasible", "no bowl has 9 N; raise the footprint")
+
+    monkeypatch.setattr(design_check, "check_thresholds", cannot)
+    found = exact(parse_design(data, ""))
+    assert (found["visible"], found["clear"]) == (True, False)
+    assert found["faults"][0]["text"].startswith("no bowl has 9 N")
 
 
 def test_the_picture_shows_each_marker_at_its_place(data: Json) -> None:

@@ -175,8 +175,12 @@ export class Views {
     const lines = found.warnings.map(text => ["odd", text]);
     const blind = found.visibility.switch_unreadable;
     if (blind) lines.unshift(["odd", `about ${blind} switches cannot be read`]);
+    for (const fault of found.faults) lines.unshift(["bad", fault.text]);
     if (found.clear) {
       this.verdict(lines.length ? "odd" : "good", "Every marker is visible and separate.", lines,
+        "As `phytac check` finds.");
+    } else if (found.visible) {
+      this.verdict("bad", "Its switches cannot be used as they are.", lines,
         "As `phytac check` finds.");
     } else {
       lines.unshift(["bad", found.advice]);

@@ -8,7 +8,7 @@ from typing import Any
 from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import to_toml
 from phytac_design.study.advice.advise import Advice
-from phytac_design.study.advice.design_changes import GOALS, Change
+from phytac_design.study.advice.design_changes import GOALS, SWITCHES, THRESHOLDS, Change
 from phytac_design.study.advice.design_evaluation import FIGURES, FORCES
 from phytac_design.study.advice.local_model import Sensitivity
 from phytac_design.study.advice.refinement import RefinedDesign
@@ -23,6 +23,7 @@ def as_dict(advice: Advice) -> dict[str, Any]:
             "design": advice.design.name,
             "force_N": FORCE_N,
             "refused": advice.refused,
+            "switch_faults": advice.switch_faults,
             "figures": advice.figures,
             "slopes": [_slope_dict(slope) for slope in advice.slopes],
             "rows": [{"row": one.row, "share_per_step": one.share} for one in advice.rows],
@@ -74,6 +75,7 @@ def refined_dict(done: RefinedDesign) -> dict[str, Any]:
 def text(advice: Advice) -> str:
     """Report for a terminal."""
     lines = [f"{advice.design.name}: {_state(advice)}"]
+    lines += [f"  rejected by `phytac check`: {fault}" for fault in advice.switch_faults]
     if advice.slopes:
         lines += ["", "Effect of a step:", *_slope_lines(advice.slopes)]
     if advice.rows:
@@ -134,6 +136,13 @@ def _piece(change: Change) -> str:
         words = f"repairs {gain:.0%} of the faults (predicted {predicted:.0%})"
     elif goal == "rules":
         words = "every rule passes, and every marker is visible"
+    elif goal == THRESHOLDS:
+        words = "bowls have the thresholds"
+    elif goal == SWITCHES:
+        words = (
+            f"{change.achieved['switch_unreadable']:.0f} switches cannot be read then, "
+            f"{gain:.0%} fewer"
+        )
     elif goal in FORCES:
         finer, expected = 100.0 * gain, 100.0 * predicted
         words = f"{FIGURES[goal].doc} {finer:.1f} % finer (predicted {expected:.1f} %)"

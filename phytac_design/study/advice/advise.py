@@ -38,6 +38,9 @@ from phytac_design.study.advice.local_model import (
     row_sensitivities,
     sensitivities,
 )
+from phytac_design.study.advice.switch_changes import readable_changes, threshold_changes
+from phytac_design.workflows.design_check import threshold_fault, unreadable_fault
+from phytac_design.workflows.switch_feasibility import check_thresholds
 from phytac_shapes.errors import DesignError, PhytacError
 
 Progress = Callable[[str], None]
@@ -55,6 +58,8 @@ class Advice:
         The rule that rejects the design; "" if none does.
     pieces, tried : list of Change
         What helps, the most first; and what does not.
+    switch_faults : list of str
+        Why ``phytac check`` rejects its switches, if it does.
     """
 
     design: Design
@@ -64,6 +69,7 @@ class Advice:
     rows: list[RowSensitivity] = field(default_factory=list)
     pieces: list[Change]
     tried: list[Change]
+    switch_faults: list[str] = field(default_factory=list)
 
 
 def advise(
@@ -96,6 +102,7 @@ def advise(
         # All margins count.
         faultless = {name: 0.0 if FIGURES[name].less else float("inf") for name in LIMITS}
         tester = ChangeTester(Sensor(design), faultless, accuracy, seed, progress)
+        tester.castable = threshold_fault(design, progress=progress) is None
         return _repair_rejected(error, only, tester, checks)
     progress("evaluating the design as it is")
     base = evaluate_design(design, accuracy, seed=seed)
@@ -108,12 +115,24 @@ def advise(
     model = LocalModel(base, accuracy)
     slopes = sensitivities(model, variables, progress)
     tester = ChangeTester(base.sensor, base.figures, accuracy, seed, progress)
+    blind, count = int(base.figures["switch_unreadable"]), base.sensor.markers.count
+    unreadable, unfit = unreadable_fault(blind, count), threshold_fault(design, progress=progress)
+    tester.castable = unfit is None
+    tested: list[Change] = []
+    if unfit and not only:
+        tested += threshold_changes(design, base.figures, progress=progress)
+    if not only:
+        castable = tester.castable
+        for one in readable_changes(
+            design, blind, count, seed=seed, castable=castable, progress=progress
+        ):
+            tested.append(one if one.reason else tester.test(one))
     if base.faults:
-        tested = tester.test_all(repairs(model, [*single, *variables], progress), checks)
+        tested += tester.test_all(repairs(model, [*single, *variables], progress), checks)
     else:
         slopes += sensitivities(model, single, progress)
         changes, rejected = changes_of(base, slopes)
-        tested = [*tester.test_all(changes, checks), *rejected]
+        tested += [*tester.test_all(changes, checks), *rejected]
     pieces = [one for one in tested if not one.reason]
     return Advice(
         design=design,
@@ -122,12 +141,17 @@ def advise(
         rows=row_sensitivities(model, row),
         pieces=sorted(pieces, key=lambda one: -rank_of(one.goal, one.gain)),
         tried=[one for one in tested if one.reason],
+        switch_faults=[str(fault) for fault in (unreadable, unfit) if fault],
     )
 
 
 @dataclass
 class ChangeTester:
-    """Applies changes to a design and evaluates the results against its figures ``before``."""
+    """Applies changes to a design and evaluates the results against its figures ``before``.
+
+    ``castable`` says whether bowls have the design's thresholds, and so must have those of changed
+    ones.
+    """
 
     sensor: Sensor
     before: dict[str, float]
@@ -135,6 +159,7 @@ class ChangeTester:
     seed: int = 0
     progress: Progress = lambda _: None
     listed: dict[str, float] = field(default_factory=dict)
+    castable: bool = False
 
     def test_all(self, changes: Sequence[Change], checks: int) -> list[Change]:
         """Evaluate the first changes; one that broke something is tried again, smaller."""
@@ -158,6 +183,8 @@ class ChangeTester:
         self.progress(f"trying {change.words}")
         try:
             design = change.variable.moved(self.sensor.design, change.amount)
+            if self.castable:
+                check_thresholds(design, progress=self.progress)
             after = evaluate_design(design, self.accuracy, seed=self.seed).figures
         except PhytacError as error:
             return replace(change, reason=f"breaks a rule: {error}")

@@ -27,6 +27,10 @@ GOALS = ("force_middle_N", "force_worst_N", "gap_px", "load_gap_px")
 """Goals of a design without faults; gaps only while they are below ``WANTED_GAP_px``. Others are
 ``faults`` (hidden, fused or disturbed markers) and ``rules`` (a rule rejects the design)."""
 WANTED_GAP_px = 8.0
+SWITCHES, THRESHOLDS = "switches", "thresholds"
+"""Goals of switches: the camera reads more of them; bowls have their thresholds."""
+REPAIRS = {"faults", "rules", SWITCHES, THRESHOLDS}
+"""Goals that repair a design; they come before all others."""
 
 
 @dataclass(frozen=True)
@@ -69,20 +73,22 @@ class Change:
 
 def rank_of(goal: str, gain: float) -> float:
     """Gains of all goals on one scale: repaired faults come first, then shares."""
-    if goal in {"faults", "rules"}:
+    if goal in REPAIRS:
         return 10.0 + gain
     return gain if goal in FORCES else gain / WANTED_GAP_px
 
 
 def least_gain(goal: str) -> float:
     """Least gain of a goal that is reported: a share, or px of gaps."""
-    return 0.01 if goal in {*FORCES, "faults", "rules"} else 0.5
+    return 0.01 if goal in {*FORCES, *REPAIRS} else 0.5
 
 
 def gain_of(goal: str, before: Mapping[str, float], after: Mapping[str, float]) -> float:
     """Gain of a goal: share of force or faults, px of gaps."""
     if goal == "faults":
         return 1.0 - faults_of(after) / max(faults_of(before), 1)
+    if goal == SWITCHES:
+        return 1.0 - after["switch_unreadable"] / max(before["switch_unreadable"], 1)
     if goal in FORCES:
         return 1.0 - after[goal] / before[goal]
     return after[goal] - before[goal]
@@ -198,6 +204,8 @@ def gain_words(goal: str, gain: float) -> str:
     """A gain, for a reader."""
     if goal in FORCES:
         return f"force {100.0 * gain:.1f} % finer"
+    if goal == SWITCHES:
+        return f"{gain:+.0%} of the unreadable switches read"
     return f"{gain:+.0%} of the faults repaired" if goal == "faults" else f"gap {gain:+.2f} px"
 
 

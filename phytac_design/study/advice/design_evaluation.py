@@ -20,6 +20,7 @@ from phytac_design.stages.loaded_views_stage import UNDERLOAD
 from phytac_design.stages.resolution_stage import RESOLUTION, RIM_SHARE
 from phytac_design.study.search.fidelity_levels import views_at_rest
 from phytac_design.study.search.surrogate import FORCE_N, predict
+from phytac_design.workflows.design_check import UNREADABLE_SHARE_MAX
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import NumericalError
@@ -66,6 +67,9 @@ FIGURES: dict[str, EvaluatedFigure] = {
     "load_hidden": EvaluatedFigure("", True, "hidden markers in the worst press", 0.0),
     "load_fused": EvaluatedFigure("", True, "fused markers in the worst press", 0.0),
     "switch_unreadable": EvaluatedFigure("", True, "switches that cannot be read", None, 0.0),
+    "switch_unreadable_share": EvaluatedFigure(
+        "", True, "share of switches that cannot be read", UNREADABLE_SHARE_MAX
+    ),
     "marker_count": EvaluatedFigure("", False, "markers", None, 0.0),
 }
 LIMITS = {name: one.limit for name, one in FIGURES.items() if one.limit is not None}
@@ -196,6 +200,7 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
         "load_hidden": int(load["hidden"].max(initial=0)),
         "load_fused": int(load["fused"].max(initial=0)),
         "switch_unreadable": int(views["unreadable"].sum()),
+        "switch_unreadable_share": float(views["unreadable"].mean()),
         "marker_count": sensor.markers.count,
     }
     return EvaluatedDesign(sensor, figures, views, bound, load)

@@ -46,6 +46,8 @@ class DesignVariable:
         ``FREE``, ``CHOICE``, ``SIZE``, ``COUNT`` or ``ROW``.
     fields : callable
         From an amount to values of fields.
+    text : str
+        The change for a reader where several fields change at once; "" for one value.
     """
 
     name: str
@@ -56,6 +58,7 @@ class DesignVariable:
     why: str
     fields: Callable[[float], Fields]
     kind: str = FREE
+    text: str = ""
 
     def moved(self, design: Design, amount: float) -> Design:
         """Design with this variable changed by an amount.
@@ -75,6 +78,8 @@ class DesignVariable:
 
     def words(self, amount: float) -> str:
         """A change of this variable, for a reader."""
+        if self.text:
+            return self.text
         unit = f" {self.unit}" if self.unit else ""
         if self.kind == ROW:
             return f"{self.name} by {amount:+.3g}{unit}"

@@ -8,12 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from phytac_decoder.vision.switch_detection import RED_RATIO_MIN
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import stand_off_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.loaded_visibility import FUSED_PX
 from phytac_design.optics.render_scene import BAR
-from phytac_design.optics.visibility import FRACTION_MIN, Visibility, best_of, check_visibility
+from phytac_design.optics.visibility import (
+    FRACTION_MIN,
+    Visibility,
+    best_of,
+    check_visibility,
+)
 from phytac_design.rules.check import check_design
 from phytac_design.study.advice.design_variables import Fields, variables_of, with_fields
 from phytac_design.study.search.fidelity_levels import outlined_gap_px, sampled_fractions
@@ -163,9 +169,14 @@ def readable_switches(
     """
     start = time.monotonic()
     sensor = check_design(design)
-    before = int(seen_at_rest(sensor, seed=seed).switch_unreadable.sum())
+    seen = seen_at_rest(sensor, seed=seed)
+    blind = seen.switch_unreadable
+    before = int(blind.sum())
+    # Where red would be enough relative to that at rest, only pixels are missing.
+    enough = seen.red_on_px > RED_RATIO_MIN * seen.red_rest_px
+    coarse = int((enough & blind).sum()) > before / 2
     tried: list[ReadableRepair] = []
-    for fields in _readable_fields(sensor):
+    for fields in _readable_fields(sensor, coarse=coarse):
         if time.monotonic() - start > seconds:
             break
         words = _words(design, fields)
@@ -198,8 +209,8 @@ def readable_switches(
     return sorted(tried, key=lambda one: (bool(one.reason), one.after))
 
 
-def _readable_fields(sensor: Sensor) -> Iterator[dict[str, Any]]:
-    """Fields of deeper tips, of a nearer camera, of both, and of other cameras."""
+def _readable_fields(sensor: Sensor, *, coarse: bool) -> Iterator[dict[str, Any]]:
+    """Fields of deeper tips, a nearer camera, both, a second camera; finer ones if ``coarse``."""
     design = sensor.design
     stand_off = stand_off_mm(design, sensor.surface, sensor.cameras[0])
     tips = {
@@ -213,7 +224,9 @@ def _readable_fields(sensor: Sensor) -> Iterator[dict[str, Any]]:
     yield tips[1.0]
     yield nearer
     yield tips[1.0] | nearer
-    yield from _other_cameras(design)
+    for fields in _other_cameras(design):
+        if coarse or "camera.ends" in fields:
+            yield fields
     yield tips[0.6]
     yield {"switch.tip_recess_mm": tips[0.6]["switch.tip_recess_mm"]}
 

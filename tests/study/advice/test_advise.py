@@ -1,6 +1,7 @@
 """Known defects get advice that repairs them; a change that breaks a rule is no advice."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,11 +14,13 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.stages import loaded_views_stage
+from phytac_design.study.advice import advise as advising
 from phytac_design.study.advice import design_changes
 from phytac_design.study.advice import design_evaluation as judging
 from phytac_design.study.advice.advice_report import as_dict, text, write_advice
 from phytac_design.study.advice.advise import Advice, ChangeTester, advise
 from phytac_design.study.advice.design_changes import (
+    SWITCHES,
     Change,
     broken_margin,
     costs_of,
@@ -32,8 +35,19 @@ from phytac_design.study.advice.design_variables import (
     variables_of,
     with_fields,
 )
+from phytac_design.study.advice.switch_changes import _several
+from phytac_design.workflows import design_check, switch_feasibility
+from phytac_shapes.errors import DesignError
 from tests.refusals import refused
 from tests.study.advice.cases import DRAFT, ROWS, judged_tube, tube, with_long_row
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _bowls_fit() -> Iterator[None]:
+    """Bowls are solved for in ``test_switch_feasibility``."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(switch_feasibility, "misfit", lambda *_: "")
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +114,48 @@ def test_advice_breaks_nothing(of_thick_wall: Advice) -> None:
     # A spacer shorter than the image allows is tried and said to break that.
     lost = [t for t in of_thick_wall.tried if t.variable.name == "camera.stand_off_mm"]
     assert any("rim" in trial.reason for trial in lost)
+
+
+def test_faults_of_switches_are_those_of_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert advising.check_thresholds is switch_feasibility.check_thresholds
+    assert advising.unreadable_fault is design_check.unreadable_fault
+    base, deeper = judged_tube(), {"switch.tip_recess_mm": 0.4}
+    monkeypatch.setattr(advising, "unreadable_fault", lambda *_: DesignError("a-b", "30 of 40"))
+    monkeypatch.setattr(
+        advising,
+        "readable_changes",
+        lambda *_, **__: [
+            Change(variable=_several(deeper, "deeper"), amount=1.0, goal=SWITCHES, predicted={},
+                   predicted_gain=0.5),
+            Change(variable=_several({}, "none"), amount=1.0, goal=SWITCHES, predicted={},
+                   predicted_gain=0.0, reason="40 of 40 remain so"),
+        ],
+    )  # fmt: skip
+    many = base.figures | {"switch_unreadable": 30, "switch_unreadable_share": 0.75}
+    monkeypatch.setattr(advising, "evaluate_design", lambda design, *_, **__: replace(
+        base, figures=many if design.switch.tip_recess_mm == 0.3 else base.figures))  # fmt: skip
+    found = advise(tube(), DRAFT, checks=0)
+    shown = text(found)
+    assert "rejected by `phytac check`: 30 of 40" in shown
+    assert "1. deeper: 0 switches cannot be read then, 100% fewer" in shown
+    assert "none: 40 of 40 remain so" in shown
+    (piece,) = found.pieces
+    assert piece.design == with_fields(tube(), deeper)
+    # A change after which no bowl has the thresholds breaks a rule.
+    monkeypatch.setattr(advising, "check_thresholds", cannot)
+    tester = ChangeTester(base.sensor, base.figures, DRAFT, castable=True)
+    assert tester.test(piece).reason.startswith("breaks a rule: no bowl fits")
+
+
+def cannot(*_: object, **__: object) -> None:
+    raise DesignError("switch-infeasible", "no bowl fits; raise the footprint")
+
+
+def test_a_change_that_hides_switches_breaks_a_margin() -> None:
+    good = dict(judged_tube().figures)
+    assert good["switch_unreadable_share"] == good["switch_unreadable"] / 40 == 0.0
+    assert broken_margin(good, good | {"switch_unreadable_share": 0.25}) == ""
+    assert "cannot be read 0.3" in broken_margin(good, good | {"switch_unreadable_share": 0.3})
 
 
 def test_a_move_that_hides_markers_is_no_advice() -> None:
