@@ -54,6 +54,7 @@ def ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(new_command, "in_terminal", lambda: True)
     # Bowls take half a minute to solve.
     monkeypatch.setattr(switch_feasibility, "misfit", lambda *_: "")
+    monkeypatch.setattr(switch_feasibility, "far_too_high", lambda *_: "")
     monkeypatch.setattr(switch_feasibility, "feasible_range", lambda *_: None)
 
     def answered(*answers: object, options: tuple[str, ...] = ()) -> Any:

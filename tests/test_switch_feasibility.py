@@ -9,7 +9,9 @@ import typer
 
 from phytac_design.cli import check_command, new_command
 from phytac_design.design.design_file import to_toml
-from phytac_design.mechanics.switch.feasible_range import FeasibleRange
+from phytac_design.mechanics.switch.feasible_range import FeasibleRange, smallest_N
+from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
+from phytac_design.mechanics.switch.threshold_bound import far_too_high
 from phytac_design.study.advice.switch_changes import threshold_changes
 from phytac_design.workflows import switch_feasibility
 from phytac_design.workflows.switch_feasibility import check_thresholds
@@ -33,6 +35,7 @@ def solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
     monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(switch_feasibility, "misfit", misfit)
+    monkeypatch.setattr(switch_feasibility, "far_too_high", lambda *_: "")
     monkeypatch.setattr(switch_feasibility, "feasible_range", lambda *_: RANGE)
     return asked
 
@@ -54,6 +57,30 @@ def test_thresholds_without_a_bowl_are_refused(solved: list[float]) -> None:
     assert solved == [0.5, 0.85, 0.1, 3.0]
     with refused("bowl-no-room"):
         check_thresholds(small(switch={"wall_min_mm": 2.0}))
+
+
+def test_far_too_high_thresholds_need_no_range(
+    monkeypatch: pytest.MonkeyPatch, solved: list[float]
+) -> None:
+    def none(*_: object) -> None:
+        raise AssertionError("solved the range")
+
+    monkeypatch.setattr(switch_feasibility, "feasible_range", none)
+    monkeypatch.setattr(switch_feasibility, "far_too_high", far_too_high)
+    space = space_of(small())
+    thinnest_N = smallest_N(rubber_of(small()), space)
+    assert thinnest_N is not None
+    # Within the range, and not far above it: the range decides.
+    assert far_too_high(1.5 * thinnest_N, rubber_of(small()), space) == ""
+    with refused("switch-infeasible") as caught:
+        check_thresholds(small(switch={"threshold_N": 12.0}))
+    caught.match("no wall gives it, nor does a wall for 7.2 N")
+    assert solved == []
+    snaps_N = float(str(caught.value).split("snaps at ")[1].split()[0])
+    assert snaps_N == pytest.approx(thinnest_N, rel=0.03)
+    # Of the largest modulus that the text names, the thinnest wall has the threshold.
+    most_MPa = float(str(caught.value).split("less than ")[1].split()[0])
+    assert most_MPa == pytest.approx(10.0 * 12.0 / snaps_N, rel=0.01)
 
 
 def test_known_switches_are_not_solved_again(

@@ -24,6 +24,7 @@ from phytac_design.mechanics.switch.feasible_range import (
 from phytac_design.mechanics.switch.rubbers import Rubber
 from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
+from phytac_design.mechanics.switch.threshold_bound import far_too_high
 from phytac_shapes.errors import DesignError, OutputError
 
 
@@ -45,9 +46,13 @@ def check_thresholds(design: Design, *, progress: Callable[[str], None] = lambda
     for threshold_N in map(float, np.unique(thresholds_N(design, Sensor(design).markers))):
 
         def solve(wanted_N: float = threshold_N) -> dict[str, Any]:
-            return {"misfit": misfit(wanted_N, rubber, space)}
+            far = far_too_high(wanted_N, rubber, space)
+            return {"far": far, "misfit": "" if far else misfit(wanted_N, rubber, space)}
 
-        why = str(_known("threshold", design, space, threshold_N, solve)["misfit"])
+        known = _known("threshold_fit", design, space, threshold_N, solve)
+        why, far = str(known["misfit"]), str(known["far"])
+        if far:
+            faults.append(f"{_fault_start(threshold_N, rubber, space)}: no wall gives it, {far}")
         if not why:
             continue
         found = threshold_range(design, progress=progress)
@@ -92,9 +97,13 @@ def _fault(
         if found is None
         else f"{fit_words(threshold_N, found)}: change switch.threshold_N or switch.modulus_MPa"
     )
+    return f"{_fault_start(threshold_N, rubber, space)}: {why}. {fits}"
+
+
+def _fault_start(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
     return (
         f"a switch of {threshold_N:g} N does not fit a bowl {space.diameter_mm:.3g} mm wide of "
-        f"{rubber.name} at {rubber.material.modulus_MPa:.3g} MPa: {why}. {fits}"
+        f"{rubber.name} at {rubber.material.modulus_MPa:.3g} MPa"
     )
 
 
