@@ -12,11 +12,15 @@ from phytac_design.design.design_file import to_toml
 from phytac_design.mechanics.switch.feasible_range import FeasibleRange, smallest_N
 from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
 from phytac_design.mechanics.switch.threshold_bound import far_too_high
+from phytac_design.study.advice import quick_repair
+from phytac_design.study.advice.design_variables import with_fields
+from phytac_design.study.advice.quick_repair import ReadableRepair
 from phytac_design.study.advice.switch_changes import threshold_changes
 from phytac_design.workflows import switch_feasibility
+from phytac_design.workflows.design_check import full_check
 from phytac_design.workflows.switch_feasibility import check_thresholds
 from phytac_shapes.errors import DesignError
-from tests.designs import small
+from tests.designs import small, tiny
 from tests.refusals import refused
 from tests.test_check_faults import READING
 
@@ -151,6 +155,30 @@ def test_a_new_design_has_a_rubber_for_its_threshold() -> None:
     assert words == (
         "a contact trips a switch from about 1.5 N (wanted: 3 N; switch.threshold_N = 0.5)"
     )
+
+
+def test_a_new_design_has_switches_that_its_camera_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    def found(fields: dict[str, Any]) -> ReadableRepair:
+        changed = with_fields(design, fields)
+        return ReadableRepair(
+            words=str(fields), fields=fields, design=changed, before=12, after=0, reason=""
+        )
+
+    # A camera that is too far from the tips.
+    design = tiny(camera={"stand_off_mm": 60.0})
+    lens, deeper = {"camera.focal_px": 300.0}, {"switch.tip_recess_mm": 0.4}
+    cures = [found(lens), found(deeper)]
+    monkeypatch.setattr(quick_repair, "readable_switches", lambda *_, **__: cures)
+    same, words = new_command._switches_of(design, 5.0)
+    assert same == with_fields(design, deeper)
+    assert words.endswith(f"; so that the camera reads most switches: {deeper}")
+    cures = [found(lens)]
+    solid, words = new_command._switches_of(design, 5.0)
+    assert not solid.has_switches
+    assert f"cannot read 12 of 16 switches; it would with {lens}: receptors are solid" in words
+    checked = full_check(solid)
+    assert checked["visible"] == checked["clear"]
+    assert "faults" not in checked
 
 
 def test_a_new_design_has_thresholds_for_the_smallest_force() -> None:

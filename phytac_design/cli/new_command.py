@@ -102,6 +102,8 @@ def _ask_design(out: Path | None, *, full: bool) -> None:
             name, kind, sizes_mm, camera, force_min_N=least_N, force_max_N=most_N, progress=say
         )
         design, switches = _switches_of(design, least_N)
+        if design.camera.stand_off_mm != "fit":  # nearer, so that it reads the switches
+            camera = {**camera, "stand_off_mm": design.camera.stand_off_mm}
     text = to_toml(design) if full else to_short_toml(design, camera=camera)
     typer.echo(f"wrote {write_design_file(text, target)}")
     typer.echo(
@@ -119,6 +121,9 @@ def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
     """
     from phytac_design.study.advice.first_design import trip_force_N
 
+    design, seen = _with_readable(design)
+    if not design.has_switches:
+        return design, seen
     design, rubber = _with_rubber(design)
     factor = least_N / trip_force_N(design)
     if factor < 0.95:  # numbers of design files are rounded to two digits
@@ -131,7 +136,39 @@ def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
     trip_N = trip_force_N(design)
     return design, (
         f"a contact trips a switch from about {trip_N:.2g} N (wanted: {least_N:g} N; "
-        f"switch.threshold_N = {design.switch.threshold_N:g}){rubber}"
+        f"switch.threshold_N = {design.switch.threshold_N:g}){rubber}{seen}"
+    )
+
+
+def _with_readable(design: "Design") -> tuple["Design", str]:
+    """The design with switches that its camera can read, else without any, and words on it."""
+    from phytac_design.rules.check import check_design
+    from phytac_design.study.advice.design_variables import with_fields
+    from phytac_design.study.advice.quick_repair import readable_switches, seen_at_rest
+    from phytac_design.workflows.design_check import unreadable_fault
+
+    seen = seen_at_rest(check_design(design)).switch_unreadable
+    blind, count = int(seen.sum()), len(seen)
+    if unreadable_fault(blind, count) is None:
+        return design, ""
+
+    def fits(changed: "Design") -> None:
+        _with_rubber(changed)
+
+    cures = [
+        one
+        for one in readable_switches(design, fits=fits, progress=say)
+        if unreadable_fault(one.after, count) is None and not one.reason
+    ]
+    for one in cures:
+        # The lens and the number of cameras are those that the user has.
+        if not one.fields.keys() & {"camera.focal_px", "camera.width_px", "camera.ends"}:
+            return one.design, f"; so that the camera reads most switches: {one.words}"
+    lens = f"; it would with {cures[0].words}" if cures else ""
+    return with_fields(design, {"receptor.diameter_hole_mm": 0.0}), (
+        f"this camera cannot read {blind} of {count} switches{lens}: receptors are solid posts "
+        "without switches (receptor.diameter_hole_mm = 0), and contacts are found by the markers' "
+        "motion alone"
     )
 
 

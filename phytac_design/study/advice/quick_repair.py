@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.vision.switch_detection import RED_RATIO_MIN
+from phytac_design.design.field_of_view import fields_of_view_deg
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import stand_off_mm
 from phytac_design.layout.sensor import Sensor
@@ -42,8 +43,9 @@ RULES: dict[str, tuple[int, ...]] = {
     "wall.thickness_mm": (1, 2, 4, 8, -4),
 }
 """Variables that are tried first where a rule is broken."""
-DEEPER_mm, NEARER = 0.5, 0.7
-"""Tips rest and move this much farther; cameras stand at this multiple of their distance."""
+DEEPER_mm, NEARER, WIDER = 0.5, 0.7, 0.5
+"""Tips rest and move this much farther; cameras stand at this multiple of their distance, or have
+a lens of this multiple of their focal length, which stands nearer too."""
 READABLE_SHARE = 0.9
 """With this share of readable switches no further change is tried."""
 MORE_PIXELS = (1.5, 2.0, 3.0)
@@ -184,6 +186,8 @@ def readable_switches(
         after, reason, changed = before, "", design
         try:
             changed = with_fields(design, fields)
+            if "camera.focal_px" in fields:
+                words += f" ({fields_of_view_deg(changed.camera.lens())[0]:.0f}° across)"
             seen = seen_at_rest(check_design(changed), seed=seed)
             after = int(seen.switch_unreadable.sum())
             if not seen.clear.all():
@@ -210,7 +214,7 @@ def readable_switches(
 
 
 def _readable_fields(sensor: Sensor, *, coarse: bool) -> Iterator[dict[str, Any]]:
-    """Fields of deeper tips, a nearer camera, both, a second camera; finer ones if ``coarse``."""
+    """Fields of deeper tips, a nearer camera, both, other lenses, cameras (finer if ``coarse``)."""
     design = sensor.design
     stand_off = stand_off_mm(design, sensor.surface, sensor.cameras[0])
     tips = {
@@ -224,6 +228,11 @@ def _readable_fields(sensor: Sensor, *, coarse: bool) -> Iterator[dict[str, Any]
     yield tips[1.0]
     yield nearer
     yield tips[1.0] | nearer
+    lens = design.camera.preset == "custom" and not design.camera.calibration
+    if lens:
+        yield {"camera.focal_px": round(WIDER * design.camera.focal_px, 1)} | (
+            {} if design.camera.stand_off_mm == "fit" else {"camera.stand_off_mm": "fit"}
+        )
     for fields in _other_cameras(design):
         if coarse or "camera.ends" in fields:
             yield fields
