@@ -195,12 +195,18 @@ def test_decode_prints_newtons(built: BuildResult, tmp_path: Path) -> None:
     assert set(result["forces_N"]) == set(truth)
     assert result["total_N"] == pytest.approx(sum(truth.values()), rel=0.3)
     assert result["true_forces_N"] == truth
+    switched = [one for one in result["contacts"] if one["markers"]]
+    assert switched
+    for one in switched:
+        wanted_N = sum(truth.get(str(marker), 0.0) for marker in one["markers"])
+        assert one["true_force_N"] == pytest.approx(wanted_N, abs=1e-3)
     plain = phytac(*words)
     assert "markers found" in plain.stdout
     assert " N on " in plain.stdout
     assert plain.stdout.count(" N  (true: ") == len(truth)
     assert f"rendered with {sum(truth.values()):.2f} N on {len(truth)} receptors" in plain.stdout
     assert "0 not found, 0 where nothing presses" in plain.stdout
+    assert "side the 90 % interval of " in plain.stdout
     verdict, after = plain.stdout.splitlines()[-2:]
     assert verdict == "the frame is good: 100% of the markers found (needs 95%)"
     assert after.startswith("next: give --rest FRAME")

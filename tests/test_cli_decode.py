@@ -12,6 +12,8 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,7 +26,7 @@ from phytac_decoder.io import bundle as bundle_module
 from phytac_decoder.io.bundle import save_bundle
 from phytac_decoder.serving.sensor_loop import Progress
 from phytac_design.cli import decode_command
-from phytac_design.cli.decode_command import FramePrinter, decode
+from phytac_design.cli.decode_command import FramePrinter, _true_interval, decode
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import PhytacError
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
@@ -461,3 +463,18 @@ def test_what_was_decoded_is_kept_when_it_is_stopped(toy: Path, tmp_path: Path) 
     assert set(range(last)) <= numbers
     assert len(numbers) < count
     assert parquet.read_table(table).num_rows == len(rows_of(out))
+
+
+def test_intervals_hold_the_true_force_on_a_contacts_switches() -> None:
+    contact: Any = SimpleNamespace(markers=np.array([3, 5]), force_N=10.0, sd_N=1.0)
+    inside = _true_interval(contact, {3: 6.0, 5: 5.6, 9: 2.0})
+    assert inside == {
+        "true_force_N": 11.6,
+        "interval_90_N": [8.3551, 11.6449],
+        "true_force_inside": True,
+    }
+    assert not _true_interval(contact, {3: 6.0, 5: 5.7})["true_force_inside"]
+    assert _true_interval(contact, {9: 2.0})["true_force_N"] == 0.0
+    assert _true_interval(contact, {}) == {}
+    contact.markers = np.array([], dtype=int)
+    assert _true_interval(contact, {3: 6.0}) == {}

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -216,6 +217,7 @@ def _decode_frame(
                     "radius_mm": round(contact.radius_mm, 3),
                     "markers": contact.markers.tolist(),
                     **shear_of(contact),
+                    **_true_interval(contact, truth_N),
                 }
                 for contact, normal in zip(contacts, normals, strict=True)
             ],
@@ -300,10 +302,35 @@ def _print_loads(bundle: "Bundle", reading: "Reading", truth_N: dict[int, float]
         aside = ""
         if shear:
             aside = ", along the surface ({:.2f}, {:.2f}, {:.2f}) N".format(*shear["shear_N"])
+        known = _true_interval(contact, truth_N)
+        if known:
+            word = "inside" if known["true_force_inside"] else "outside"
+            low, high = known["interval_90_N"]
+            switched += (
+                f"; true: {known['true_force_N']:.2f} N, {word} the 90 % interval of {low:.2f} to "
+                f"{high:.2f} N"
+            )
         typer.echo(
             f"  contact at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {contact.force_N:.2f} N, standard "
             f"deviation {contact.sd_N:.2f} N, radius {contact.radius_mm:.1f} mm{aside}{switched}"
         )
+
+
+def _true_interval(contact: "LocatedContact", truth_N: dict[int, float]) -> dict[str, Any]:
+    """True force on a contact's switches, its 90 % interval, and whether that holds the force.
+
+    Empty where the truth is not known, as for contacts that tripped no switch.
+    """
+    if not truth_N or not len(contact.markers):
+        return {}
+    true_N = sum(truth_N.get(int(marker), 0.0) for marker in contact.markers)
+    reach_N = NormalDist().inv_cdf(0.95) * contact.sd_N
+    low, high = max(contact.force_N - reach_N, 0.0), contact.force_N + reach_N
+    return {
+        "true_force_N": round(true_N, 4),
+        "interval_90_N": [round(low, 4), round(high, 4)],
+        "true_force_inside": bool(low <= true_N <= high),
+    }
 
 
 def shear_of(contact: "LocatedContact") -> dict[str, list[float]]:
