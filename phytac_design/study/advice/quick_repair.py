@@ -269,11 +269,10 @@ def _words(design: Design, fields: Fields) -> str:
     places = {name: name.split(".") for name in fields}
     now = {name: getattr(getattr(design, table), own) for name, (table, own) in places.items()}
 
-    def shown(value: float | str) -> str:
-        return value if isinstance(value, str) else f"{value:.5g}"
-
     return ", ".join(
-        f"{name} {shown(now[name])} → {shown(new)}"
+        f"{name} {now[name]:.5g} → {new:.5g}"
+        if isinstance(new, int | float) and not isinstance(now[name], str)
+        else f"{name} {now[name]} → {new}"
         for name, new in fields.items()
         if isinstance(new, int | float | str)
     )
