@@ -178,6 +178,10 @@ def test_changes_of_tips_and_camera_are_tried_until_switches_are_read() -> None:
     assert asked[0] == 2.0
     assert all(one.design.switch.stroke_mm == 1.5 for one in other if not one.reason)
     assert any("too shallow a bowl" in one.reason for one in other)
+    # A narrow lens may be wider, which stands nearer; that of this pad is wide (107°).
+    assert not any("camera.focal_px" in one.fields for one in found)
+    narrow = readable_switches(pad(focal_px=617.0), fits=fits)
+    assert any(one.words == "camera.focal_px 617 → 308.5 (109° across)" for one in narrow)
     # Without time nothing is tried.
     assert readable_switches(pad(), fits=fits, seconds=-1.0) == []
 

@@ -228,10 +228,11 @@ def _readable_fields(sensor: Sensor, *, coarse: bool) -> Iterator[dict[str, Any]
     yield tips[1.0]
     yield nearer
     yield tips[1.0] | nearer
-    lens = design.camera.preset == "custom" and not design.camera.calibration
-    if lens:
-        yield {"camera.focal_px": round(WIDER * design.camera.focal_px, 1)} | (
-            {} if design.camera.stand_off_mm == "fit" else {"camera.stand_off_mm": "fit"}
+    camera, narrow_deg = design.camera, 80.0  # straight lenses of twice its width are sold
+    custom = camera.preset == "custom" and not camera.calibration
+    if custom and fields_of_view_deg(camera.lens())[0] <= narrow_deg:
+        yield {"camera.focal_px": round(WIDER * camera.focal_px, 1)} | (
+            {} if camera.stand_off_mm == "fit" else {"camera.stand_off_mm": "fit"}
         )
     for fields in _other_cameras(design):
         if coarse or "camera.ends" in fields:
