@@ -190,7 +190,9 @@ def test_another_family_brings_its_own_controls(seen: Seen) -> None:
     assert page.locator("[data-path='layout.count']").is_hidden()
     # Its layout comes with it, and works.
     seen.reached("checked")
-    assert page.locator("#verdict.bad").count() == 0
+    # Every marker is seen; this camera has too few pixels for the smaller tips.
+    verdict = page.locator("#verdict", has_text="Its switches cannot be used as they are.")
+    assert "the camera cannot read" in verdict.inner_text()
     assert page.evaluate("studio.model.value('layout.rows')") == load_design("cone").layout.rows
     page.get_by_role("button", name="Undo").click()
     page.get_by_label("diameter outer (mm)", exact=True).first.wait_for()
