@@ -12,7 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import fabrication_effort, fabrication_parts, fabrication_switch
+from benchmarks import (
+    fabrication_effort,
+    fabrication_inspect,
+    fabrication_parts,
+    fabrication_switch,
+)
 from benchmarks.fabrication_parts import repair_row, slice_row
 from benchmarks.harness import Table, median_of, run_parts
 from phytac_design.design.design_file import load_design, shipped_designs
@@ -210,6 +215,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "switch": partial(fabrication_switch.add_rows, quick=quick),
         "molds": partial(fabrication_parts.mold_rows, quick=quick),
         "hardware": partial(fabrication_parts.hardware_rows, quick=quick),
+        "inspect": partial(fabrication_inspect.add_rows, quick=quick),
     }
 
 

@@ -1,0 +1,92 @@
+"""``phytac inspect``: mistakes planted in rendered assemblies are found, and none is invented."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks.camera import moved
+from benchmarks.fabrication_inspect import Assembly, judge, plant
+from phytac_decoder.io.sensor_limits import axial_rotation
+from phytac_design.cli.app import app
+from phytac_design.design.design_file import load_design
+from phytac_design.layout.sensor import Sensor
+from phytac_design.workflows.inspect_assembly import Step, inspect
+from phytac_shapes.arrays import ImageArray
+from tests.refusals import refused
+
+HANDLE = "examples/uses/handle.toml"
+
+
+@cache
+def handle() -> Sensor:
+    return Sensor(load_design(HANDLE))
+
+
+@cache
+def clean(step: Step = "assembled") -> Assembly:
+    return Assembly(handle(), step)
+
+
+@pytest.mark.parametrize(("step", "count"), [("painted", 12), ("assembled", 20)])
+def test_planted_mistakes_are_found_in_a_disturbed_photo(step: Step, count: int) -> None:
+    faulty = Assembly(handle(), step)
+    planted = plant(faulty)
+    assert len(planted) == count
+    result = inspect(handle(), [faulty.photo(disturb=True, seed=5)], step)
+    assert judge(handle(), planted, result) == ([], [])
+    assert not inspect(handle(), [clean(step).photo(disturb=True, seed=6)], step).mistakes
+
+
+def test_a_turned_shell_and_a_moved_camera_are_reported_once() -> None:
+    camera = handle().cameras[0]
+    turn = axial_rotation(1.0 / 16.0)
+    turned = replace(camera, position_mm=camera.position_mm @ turn, rotation=camera.rotation @ turn)
+    far = moved(camera, np.array([0.8, 0.0, 0.0]), np.array([0.0, 0.8, 0.0]), 0.0)
+    for through, fault in ((turned, "shell turned"), (far, "camera moved")):
+        photo = clean().photo(disturb=False, seed=7, camera=through)
+        assert [one.fault for one in inspect(handle(), [photo], "assembled").mistakes] == [fault]
+
+
+def black() -> ImageArray:
+    return np.zeros((480, 640, 3), dtype=np.uint8)
+
+
+def another() -> ImageArray:
+    """Photo of a sensor with other markers, in the size of the handle's."""
+    layout = handle().design.layout.model_copy(update={"rows": 7, "columns": 14})
+    other = Sensor(handle().design.model_copy(update={"layout": layout}))
+    return Assembly(other, "assembled").photo(disturb=False, seed=8)
+
+
+def test_a_photo_of_something_else_is_refused() -> None:
+    with refused("markers-without-colour"):
+        inspect(handle(), [black()], "assembled")
+    with refused("photo-of-another-sensor"):
+        inspect(handle(), [another()], "assembled")
+    with refused("photo-count"):
+        inspect(handle(), [black(), black()], "assembled")
+
+
+def test_the_command_names_receptor_mistake_and_next_step(tmp_path: Path) -> None:
+    faulty = Assembly(handle(), "painted")
+    faulty.missing(35)
+    photo, out, picture = (tmp_path / name for name in ("in.png", "out.json", "out.png"))
+    cv2.imwrite(str(photo), faulty.photo(disturb=False, seed=9))
+    words = ["inspect", HANDLE, str(photo), "--step", "painted"]
+    run = CliRunner().invoke(app, [*words, "--json", str(out), "--picture", str(picture)])
+    assert run.exit_code == 4
+    lines = run.stdout.splitlines()
+    assert lines[1].split()[:2] == ["2.3", "missing"]
+    assert lines[-2].startswith("1 mistake:")
+    assert lines[-1].startswith("next: ")
+    (one,) = json.loads(out.read_text())["mistakes"]
+    assert (one["row"], one["column"]) == (2, 3)
+    ringed = cv2.imread(str(picture)).astype(int) - cv2.imread(str(photo)).astype(int)
+    place = np.argwhere(np.abs(ringed).max(axis=2) > 100)[:, ::-1]
+    assert np.linalg.norm(place - one["at_px"], axis=1).min() < 30.0
