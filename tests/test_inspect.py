@@ -1,6 +1,7 @@
 """``phytac inspect``: mistakes planted in rendered assemblies are found, and none is invented."""
 
 import json
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -78,7 +79,10 @@ def test_the_command_names_receptor_mistake_and_next_step(tmp_path: Path) -> Non
     faulty.missing(35)
     photo, out, picture = (tmp_path / name for name in ("in.png", "out.json", "out.png"))
     cv2.imwrite(str(photo), faulty.photo(disturb=False, seed=9))
-    words = ["inspect", HANDLE, str(photo), "--step", "painted"]
+    built = tmp_path / "handle" / "decoder"
+    built.mkdir(parents=True)
+    shutil.copyfile(HANDLE, built.parent / "design.toml")
+    words = ["inspect", str(built), str(photo), "--step", "painted"]
     run = CliRunner().invoke(app, [*words, "--json", str(out), "--picture", str(picture)])
     assert run.exit_code == 4
     lines = run.stdout.splitlines()

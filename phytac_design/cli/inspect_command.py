@@ -19,10 +19,11 @@ NEXT = {
 
 
 def inspect(
-    design: Annotated[
+    source: Annotated[
         str,
         typer.Argument(
             help="Folder of a build, a design file or a shipped design.",
+            metavar="DESIGN_OR_BUILD",
             autocompletion=complete_design,
         ),
     ],
@@ -67,7 +68,7 @@ def inspect(
             f"--picture writes PNG or JPEG (got {picture.name}); end its name in .png or .jpg",
         )
     images = [read_image(path) for path in photos]
-    result = inspect_photos(Sensor(load_design(_design_of(design))), images, step)
+    result = inspect_photos(Sensor(load_design(_design_of(source))), images, step)
     if as_json:
         text = json.dumps(finite(result.to_dict()), indent=1, ensure_ascii=False)
         _write(as_json, f"{text}\n".encode())

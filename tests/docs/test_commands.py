@@ -37,6 +37,7 @@ PARSED = {
     "camera": "needs a camera; tests/decoder/test_camera_check.py",
     "live": "needs a camera; tests/test_cli_live.py",
     "paints": "needs a photo; tests/optics/test_measured_paints.py",
+    "inspect": "needs a photo; tests/test_inspect.py",
     "serve": "needs a camera; tests/test_cli_serve.py",
     "calibrate": "needs measurements; tests/test_calibrate_cli.py",
     "simulate": "minutes; tests/test_simulate.py",
