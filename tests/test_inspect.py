@@ -58,10 +58,10 @@ def black() -> ImageArray:
     return np.zeros((480, 640, 3), dtype=np.uint8)
 
 
-def another() -> ImageArray:
-    """Photo of a sensor with other markers, in the size of the handle's."""
-    layout = handle().design.layout.model_copy(update={"rows": 7, "columns": 14})
-    other = Sensor(handle().design.model_copy(update={"layout": layout}))
+def another(**size: float) -> ImageArray:
+    """Photo of a handle of another size by the same camera."""
+    shape = handle().design.shape.model_copy(update=size)
+    other = Sensor(handle().design.model_copy(update={"shape": shape}))
     return Assembly(other, "assembled").photo(disturb=False, seed=8)
 
 
@@ -69,7 +69,7 @@ def test_a_photo_of_something_else_is_refused() -> None:
     with refused("markers-without-colour"):
         inspect(handle(), [black()], "assembled")
     with refused("photo-of-another-sensor"):
-        inspect(handle(), [another()], "assembled")
+        inspect(handle(), [another(length_mm=60.0)], "assembled")
     with refused("photo-count"):
         inspect(handle(), [black(), black()], "assembled")
 
