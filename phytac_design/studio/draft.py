@@ -173,6 +173,11 @@ def exact(design: Design) -> Json:
     }
 
 
+def exact_in_worker(_: None, design: Design) -> Json:
+    """:func:`exact`, as a task of a worker process."""
+    return exact(design)
+
+
 def _broken_rule(candidate: Candidate) -> DesignError | None:
     """Error of the rule that a design breaks, if one; its markers are placed in any case.
 

@@ -17,12 +17,13 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from phytac_design.core.html import STYLE
+from phytac_design.core.workers import WorkerPool
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import parse_design, shipped_designs
 from phytac_design.report.viewer.assets import SCRIPTS, style
 from phytac_design.studio import request_bodies as bodies
 from phytac_design.studio.build_process import BuildRunner
-from phytac_design.studio.draft import draft, exact
+from phytac_design.studio.draft import draft, exact_in_worker
 from phytac_design.studio.files import ConfirmationError, OpenedDesign, ProjectFolder
 from phytac_design.studio.form import error_body, field_paths, form
 from phytac_design.studio.latest_only import LatestOnlyExecutor, SupersededError
@@ -50,6 +51,7 @@ class Studio:
         self.project, self.design = project, design
         self.builds = BuildRunner(project.root)
         self.drafts, self.checks = LatestOnlyExecutor("draft"), LatestOnlyExecutor("check")
+        self.checker = WorkerPool(exact_in_worker, workers=1, retries=0)
         self.paths = field_paths()
 
     def app(self) -> Starlette:
@@ -90,6 +92,7 @@ class Studio:
             warm.cancel()
             self.drafts.close()
             self.checks.close()
+            self.checker.close()
             await self.builds.stop()
 
         kinds = (SupersededError, PhytacError, HTTPException, ClientDisconnect, Exception)
@@ -146,10 +149,17 @@ class Studio:
         return drawn | {"fields": error_body(drawn["refused"], self.paths)["fields"]}
 
     async def check(self, body: bodies.CheckRequest) -> Json:
-        """`phytac check`, once controls rest."""
-        return await self.checks.run(
-            body.tab, lambda _: exact(self.project.design_of(body.data, body.source))
-        )
+        """`phytac check`, once controls rest; in a process of its own, so that drafts stay fast."""
+
+        def work(_: Callable[[], None]) -> Json:
+            design = self.project.design_of(body.data, body.source)
+            (done,) = self.checker.run([design])
+            if done.lost:  # the studio ends
+                raise SupersededError
+            found: Json = done.value
+            return found
+
+        return await self.checks.run(body.tab, work)
 
     async def repair(self, body: bodies.CheckRequest) -> Json:
         """A change after which the design passes the check; no words if none was found."""

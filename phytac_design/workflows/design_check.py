@@ -10,7 +10,7 @@ from phytac_shapes.errors import DesignError
 
 UNREADABLE_SHARE_MAX = 0.25
 """A design passes with up to this share of switches that the camera cannot read: shipped designs
-have up to 17 % of them (``patch``), on which contacts are found by the markers' motion alone."""
+have up to 10 % of them (``patch``), on which contacts are found by the markers' motion alone."""
 
 
 def full_check(
