@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from phytac_design.design.base_table import descriptions
 from phytac_design.design.design_file import (
     assumptions,
     design_hash,
@@ -14,7 +15,7 @@ from phytac_design.design.design_file import (
     to_toml,
     write_new_design,
 )
-from phytac_design.design.spec import Design
+from phytac_design.design.spec import Design, WallSection
 from tests.designs import small
 from tests.refusals import refused
 
@@ -58,6 +59,17 @@ def test_every_field_is_documented() -> None:
         for key, info in model["properties"].items():
             described = "description" in info or "$ref" in info or "allOf" in info
             assert described, f"{name}.{key}"
+
+
+def test_without_sources_design_files_are_written_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def none(_: object) -> str:
+        raise OSError("could not get source code")
+
+    assert "thickness_mm" in descriptions.__wrapped__(WallSection)
+    monkeypatch.setattr("phytac_design.design.base_table.inspect.getsource", none)
+    assert descriptions.__wrapped__(WallSection) == {}
 
 
 def test_assumptions_are_what_the_paper_does_not_state() -> None:

@@ -44,6 +44,15 @@ def test_planted_mistakes_are_found_in_a_disturbed_photo(step: Step, count: int)
     assert not inspect(handle(), [clean(step).photo(disturb=True, seed=6)], step).mistakes
 
 
+def test_paint_that_is_too_small_everywhere_is_reported_once() -> None:
+    faulty = Assembly(handle(), "painted")
+    for number in range(handle().markers.count):
+        faulty.half(number)
+    found = inspect(handle(), [faulty.photo(disturb=False, seed=4)], "painted").mistakes
+    (one,) = [mistake for mistake in found if mistake.place == "paint"]
+    assert (one.fault, one.measured) == ("all too small", "50 % in the median")
+
+
 def test_a_turned_shell_and_a_moved_camera_are_reported_once() -> None:
     camera = handle().cameras[0]
     turn = axial_rotation(1.0 / 16.0)

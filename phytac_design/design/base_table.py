@@ -87,14 +87,19 @@ def descriptions(table: type[BaseModel]) -> dict[str, str]:
     """Meaning of each field: as stated with it, else the docstring below it.
 
     Read from the source when it is asked for; pydantic's ``use_attribute_docstrings`` reads all
-    sources at every start of a process, which takes longer than making the classes.
+    sources at every start of a process, which takes longer than making the classes. Without sources
+    (an installation of compiled files alone) only what is stated with the fields is known.
     """
     stated = {name: info.description for name, info in table.model_fields.items()}
     found = {name: text for name, text in stated.items() if text}
     for owner in reversed(table.__mro__):
         if inspect.get_annotations(owner).keys() <= {*found, "model_config"}:
             continue
-        tree = cast(ast.ClassDef, ast.parse(dedent(inspect.getsource(owner))).body[0])
+        try:
+            source = inspect.getsource(owner)
+        except OSError:
+            continue
+        tree = cast(ast.ClassDef, ast.parse(dedent(source)).body[0])
         for field, text in pairwise(tree.body):
             if (
                 isinstance(field, ast.AnnAssign)

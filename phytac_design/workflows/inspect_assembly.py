@@ -110,6 +110,8 @@ ACTIONS = {
     "tip shows at rest": "pull the switch back, or put in the one that the paint map shows here",
     "tip missing": "paint the tip red, or put in the switch that the paint map shows here",
     "shell turned": "turn the shell back, tighten it and take a new photo",
+    "all too small": "paint whole end faces and bands; see whether the photo is in focus and lit",
+    "all too large": "wipe paint off the wall and the tubes' sides; see whether the photo is sharp",
     "camera moved": "set the camera as designed and tighten its mount",
 }
 """What to do about each mistake."""
@@ -328,6 +330,13 @@ def paint_areas(
     return PaintAreas(weight=weight, strength=square / known, centroid_px=moment / known[:, None])
 
 
+def common_area(found: PaintAreas, expected: ExpectedPhoto) -> float:
+    """Median area of the paint of all judged spots over the rendered one."""
+    spots = np.flatnonzero(expected.judged)
+    own = expected.colour[spots]
+    return float(np.median(found.weight[spots, own] / expected.areas.weight[spots, own]))
+
+
 def joined_spots(
     blobs: Blobs, expected: ExpectedPhoto, shift_px: FloatArray
 ) -> set[tuple[int, int]]:
@@ -536,7 +545,20 @@ def _compare(expected: ExpectedPhoto, frame: ImageArray, names: Sequence[str]) -
     blobs = segment(frame, model, with_labels=True)
     shift, mistakes = _motion(expected, blobs)
     tips = _tip_faults(expected, expected.red(frame, model, shift))
-    paint = _paint_faults(expected, frame, model, blobs, shift, names)
+    found_areas = paint_areas(frame, model, expected, shift)
+    common = common_area(found_areas, expected)
+    if not SETTINGS.area_min <= common <= SETTINGS.area_max:
+        kind = "all too small" if common < 1.0 else "all too large"
+        mistakes.append(
+            Mistake(
+                place="paint",
+                fault=kind,
+                measured=f"{_percent(common)} in the median",
+                allowed=f"{_percent(SETTINGS.area_min)} to {_percent(SETTINGS.area_max)}",
+                action=ACTIONS[kind],
+            )
+        )
+    paint = _paint_faults(expected, found_areas, model, blobs, shift, names)
     for spot in range(len(names)):
         found = paint.get(spot)
         # A tip that is out covers paint.
@@ -578,18 +600,18 @@ def _tip_faults(expected: ExpectedPhoto, red_px: FloatArray) -> dict[int, Fault]
 
 def _paint_faults(
     expected: ExpectedPhoto,
-    frame: ImageArray,
+    found: PaintAreas,
     model: ColourModel,
     blobs: Blobs,
     shift_px: FloatArray,
     names: Sequence[str],
 ) -> dict[int, Fault]:
     """Faults of the paint of markers and marks by spot, at most one each."""
-    found, limits = paint_areas(frame, model, expected, shift_px), SETTINGS
+    limits = SETTINGS
     every, own, names_of = np.arange(len(expected.colour)), expected.colour, model.names
     wanted = np.maximum(expected.areas.weight[every, own], 1e-9)
     area = found.weight[every, own] / wanted
-    area /= np.median(area[expected.judged])
+    area /= common_area(found, expected)
     strength = found.strength / expected.areas.strength
     strength /= np.nanmedian(strength[expected.judged])
     other = found.weight - expected.areas.weight

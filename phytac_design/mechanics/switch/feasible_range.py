@@ -47,14 +47,14 @@ def feasible_range(rubber: Rubber, space: SwitchSpace) -> FeasibleRange | None:
     fits: list[tuple[float, float, float]] = []
     for fillet in fillets(space):
         low, high = space.wall_min_mm, 0.4 * 0.5 * space.diameter_mm
-        first = _fits(rubber, space, fillet, low)
+        first = bowl_fits(rubber, space, fillet, low)
         if first is None:
             continue
         fits.append((first, low, fillet))
         best = fits[-1]
         for _ in range(5):
             middle = float(np.sqrt(low * high))
-            found = _fits(rubber, space, fillet, middle)
+            found = bowl_fits(rubber, space, fillet, middle)
             if found is None:
                 high = middle
             else:
@@ -83,7 +83,7 @@ def misfit(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
     too_thick = False
     for fillet in fillets(space):
         wall = space.wall_min_mm
-        load = thinnest = _limit_N(rubber, space, fillet, wall)
+        load = thinnest = limit_N(rubber, space, fillet, wall)
         if thinnest is not None and threshold_N < (1.0 - mesh_share) * thinnest:
             if too_thick:
                 break  # rounder fillets ask for thinner walls still
@@ -94,8 +94,8 @@ def misfit(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
         for _ in range(2):
             if load is not None:
                 wall *= (threshold_N / load) ** (1.0 / WALL_EXPONENT)
-                load = _limit_N(rubber, space, fillet, wall)
-        if load is not None and _fits(rubber, space, fillet, wall, refine=2) is not None:
+                load = limit_N(rubber, space, fillet, wall)
+        if load is not None and bowl_fits(rubber, space, fillet, wall, refine=2) is not None:
             return ""
         too_thick = True
     return "no wall gives it that snaps, returns and moves the tip far enough"
@@ -103,7 +103,7 @@ def misfit(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
 
 def smallest_N(rubber: Rubber, space: SwitchSpace) -> float | None:
     """Threshold with the thinnest wall, N, on the coarse mesh; None if it does not snap."""
-    return _limit_N(rubber, space, fillets(space)[0], space.wall_min_mm)
+    return limit_N(rubber, space, fillets(space)[0], space.wall_min_mm)
 
 
 def fit_words(threshold_N: float, found: FeasibleRange) -> str:
@@ -125,7 +125,7 @@ def moduli_MPa(threshold_N: float, found: FeasibleRange) -> tuple[float, float]:
     return scaled / found.max_N, scaled / found.min_N
 
 
-def _limit_N(rubber: Rubber, space: SwitchSpace, fillet_mm: float, wall_mm: float) -> float | None:
+def limit_N(rubber: Rubber, space: SwitchSpace, fillet_mm: float, wall_mm: float) -> float | None:
     """Limit load, N, on the coarse mesh; None where the wall does not snap."""
     try:
         bowl = bowl_of(space, fillet_mm, space.stroke_mm + EXTRA_DEPTH_mm, wall_mm)
@@ -142,7 +142,7 @@ def _on_fine_mesh(
     for _, start, fillet in fits:
         wall = start
         for _ in range(7):
-            found = _fits(rubber, space, fillet, wall, refine=2)
+            found = bowl_fits(rubber, space, fillet, wall, refine=2)
             if found is not None:
                 return found, wall
             wall *= 0.96
@@ -151,7 +151,7 @@ def _on_fine_mesh(
     return None
 
 
-def _fits(
+def bowl_fits(
     rubber: Rubber, space: SwitchSpace, fillet_mm: float, wall_mm: float, *, refine: int = 1
 ) -> float | None:
     """Limit load, N, of the bowl with a wall, if it does."""

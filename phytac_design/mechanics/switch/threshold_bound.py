@@ -1,7 +1,7 @@
 """Thresholds that are far too high for a space: known after a few solves, without their range."""
 
 from phytac_design.mechanics.switch.bowl_check import fillets
-from phytac_design.mechanics.switch.feasible_range import WALL_EXPONENT, _fits, _limit_N
+from phytac_design.mechanics.switch.feasible_range import WALL_EXPONENT, bowl_fits, limit_N
 from phytac_design.mechanics.switch.rubbers import Rubber
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
 
@@ -23,7 +23,7 @@ def far_too_high(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
     """
     thin, smallest_N = space.wall_min_mm, 0.0
     for fillet in fillets(space):
-        load = _limit_N(rubber, space, fillet, thin)
+        load = limit_N(rubber, space, fillet, thin)
         if load is None:
             continue
         if SHARE * threshold_N <= (1.0 if smallest_N else NEAR) * load:
@@ -33,7 +33,7 @@ def far_too_high(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
         walls = [
             thin * share ** (1.0 / WALL_EXPONENT) for share in sorted({*shares, min(FEW, *shares)})
         ]
-        if all(_fits(rubber, space, fillet, wall) is not None for wall in walls):
+        if all(bowl_fits(rubber, space, fillet, wall) is not None for wall in walls):
             return ""
     if not smallest_N:
         return ""
