@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from phytac_design.cli.app import app
 from phytac_design.cli.watch_command import saved, write_page
 from phytac_design.design.design_file import to_toml
+from phytac_design.design.spec import Design
 from tests.designs import tiny
 from tests.refusals import refused
 
@@ -33,7 +34,7 @@ def watched(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     )
     yield process
     process.kill()
-    process.wait()
+    process.communicate()
 
 
 def line_with(process: subprocess.Popen[str], text: str) -> str:
@@ -58,15 +59,29 @@ def test_each_save_builds_what_it_changes(watched: subprocess.Popen[str], tmp_pa
     save(design, to_toml(tiny()).replace("length_mm = 24.0", "length_mm = -24.0"))
     assert "NOT BUILT: error[field-invalid]" in line_with(watched, "error[")
     assert mesh.read_bytes() == before
-    # A save during a build stops it.
-    save(design, to_toml(tiny(material={"modulus_MPa": 1234.0})))
-    line_with(watched, "mesh …")
     save(design, to_toml(tiny(material={"modulus_MPa": 1235.0})))
     assert "x: 1 stages run" in line_with(watched, "stages run")
     assert b"1235" in mesh.read_bytes()
     watched.send_signal(signal.SIGINT)
     watched.communicate(timeout=20.0)
     assert watched.returncode == 130
+
+
+def test_a_save_during_a_build_stops_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    design, built = tmp_path / "mine.toml", []
+
+    def build(loaded: Design, *_: object, progress: Callable[[str], None], **__: object) -> None:
+        if loaded.material.modulus_MPa == 1235.0:
+            raise KeyboardInterrupt
+        progress("mesh ...")
+        save(design, to_toml(tiny(material={"modulus_MPa": 1235.0})))
+        progress("views ...")
+        built.append(loaded)
+
+    save(design, to_toml(tiny(material={"modulus_MPa": 1234.0})))
+    monkeypatch.setattr("phytac_design.stages.build.build", build)
+    done = CliRunner().invoke(app, ["watch", str(design), "--out", str(tmp_path / "x")])
+    assert (done.exit_code, built) == (130, [])
 
 
 def test_a_file_that_the_design_names_counts_as_the_design(tmp_path: Path) -> None:
