@@ -133,28 +133,41 @@ def test_the_check_lists_thresholds_with_other_faults(
     assert "switch-infeasible" not in err
 
 
-def test_advice_tries_a_modulus_and_the_nearest_threshold() -> None:
-    modulus, threshold = threshold_changes(small(switch=WEAK), {})
-    # The rubber's range is the same at each modulus here, so that this one is no cure.
+def test_advice_tries_a_rubber_a_modulus_and_the_nearest_threshold() -> None:
+    known, modulus, threshold = threshold_changes(small(switch=WEAK), {})
+    assert known.words == (
+        "switch.material tpu-8400n → silicone-a30, "
+        "switch.threshold_N 0.1 → 0.094, switch.release_N 0.08 → 0.075"
+    )
+    assert known.reason == ""
     assert modulus.words == "switch.modulus_MPa 0 → 1.7"
-    assert modulus.reason.startswith("breaks a rule: a switch of 0.1 N does not fit")
+    assert modulus.reason == ""
     assert threshold.words == "switch.threshold_N 0.1 → 0.42, switch.release_N 0.08 → 0.34"
     assert threshold.reason == ""
     assert threshold.design is not None
     check_thresholds(threshold.design)
 
 
-def test_a_new_design_has_a_rubber_for_its_threshold() -> None:
+def test_a_new_design_has_a_rubber_for_its_threshold(monkeypatch: pytest.MonkeyPatch) -> None:
     design, words = new_command._switches_of(small(switch=WEAK), 5.0)
-    # In the middle of 1.11 to 2.5 MPa, on a logarithmic scale.
-    assert design.switch.modulus_MPa == 1.7
-    assert "rubber must have 1.7 MPa" in words
+    # The rubber whose thresholds, 0.044 to 0.099 N by its modulus of 1.1 MPa, come nearest.
+    switch = design.switch
+    assert (switch.material, switch.threshold_N, switch.release_N) == ("silicone-a30", 0.094, 0.075)
+    assert words.endswith(
+        "switch.threshold_N = 0.094; bowls of silicone-a30 have it (switch.material)"
+    )
     # As wanted: no change.
     same, words = new_command._switches_of(small(), 3.0)
     assert same == small()
     assert words == (
-        "a contact trips a switch from about 1.5 N (wanted: 3 N; switch.threshold_N = 0.5)"
+        "a contact trips a switch from about 1.5 N on (wanted: 3 N), of which the bowl bears 33%: "
+        "switch.threshold_N = 0.5"
     )
+    # Without a known rubber the modulus is in the middle of 1.11 to 2.5 MPa, by logarithms.
+    monkeypatch.setattr(switch_feasibility, "RUBBERS", {})
+    design, words = new_command._switches_of(small(switch=WEAK), 5.0)
+    assert design.switch.modulus_MPa == 1.7
+    assert "rubber must have 1.7 MPa (switch.modulus_MPa), and none of those with data" in words
 
 
 def test_a_new_design_has_switches_that_its_camera_reads(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,11 +196,10 @@ def test_a_new_design_has_switches_that_its_camera_reads(monkeypatch: pytest.Mon
 
 def test_a_new_design_has_thresholds_for_the_smallest_force() -> None:
     design, words = new_command._switches_of(small(), 0.3)
-    assert (design.switch.threshold_N, design.switch.release_N) == (0.099, 0.079)
-    assert design.switch.modulus_MPa == pytest.approx(1.65, abs=0.1)
+    assert (design.switch.threshold_N, design.switch.release_N) == (0.094, 0.075)
     assert words == (
-        "a contact trips a switch from about 0.3 N (wanted: 0.3 N; switch.threshold_N = 0.099); "
-        f"the switches' rubber must have {design.switch.modulus_MPa:g} MPa (switch.modulus_MPa)"
+        "a contact trips a switch from about 0.28 N on (wanted: 0.3 N), of which the bowl bears "
+        "33%: switch.threshold_N = 0.094; bowls of silicone-a30 have it (switch.material)"
     )
 
 
@@ -195,7 +207,8 @@ def test_thresholds_that_no_rubber_has_stay(monkeypatch: pytest.MonkeyPatch) -> 
     def none(*_: object, **__: object) -> None:
         raise DesignError("switch-infeasible", "no bowl fits; raise the footprint")
 
-    monkeypatch.setattr("phytac_design.workflows.switch_feasibility.modulus_for", none)
+    monkeypatch.setattr(switch_feasibility, "RUBBERS", {})
+    monkeypatch.setattr(switch_feasibility, "modulus_for", none)
     design, words = new_command._switches_of(small(), 0.3)
     assert design == small()
-    assert "from about 1.5 N (wanted: 0.3 N" in words
+    assert "from about 1.5 N on (wanted: 0.3 N" in words

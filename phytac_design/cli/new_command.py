@@ -119,7 +119,9 @@ def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
 
     Thresholds stay as they are where no bowl of any rubber has the wanted ones.
     """
+    from phytac_design.study.advice.design_variables import with_fields
     from phytac_design.study.advice.first_design import trip_force_N
+    from phytac_design.workflows.switch_feasibility import threshold_fields
 
     design, seen = _with_readable(design)
     if not design.has_switches:
@@ -127,16 +129,14 @@ def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
     design, rubber = _with_rubber(design)
     factor = least_N / trip_force_N(design)
     if factor < 0.95:  # numbers of design files are rounded to two digits
-        switch = design.switch
-        forces_N = {name: getattr(switch, name) for name in ("threshold_N", "release_N")}
-        lighter = {name: float(f"{factor * force:.2g}") for name, force in forces_N.items()}
         with suppress(DesignError):
-            own = switch.model_copy(update=lighter)
-            design, rubber = _with_rubber(design.model_copy(update={"switch": own}))
+            design, rubber = _with_rubber(with_fields(design, threshold_fields(design, factor)))
     trip_N = trip_force_N(design)
+    share = design.switch.threshold_N / trip_N
+    spread = f", of which the bowl bears {share:.0%}" if share < 0.99 else ""
     return design, (
-        f"a contact trips a switch from about {trip_N:.2g} N (wanted: {least_N:g} N; "
-        f"switch.threshold_N = {design.switch.threshold_N:g}){rubber}{seen}"
+        f"a contact trips a switch from about {trip_N:.2g} N on (wanted: {least_N:g} N){spread}: "
+        f"switch.threshold_N = {design.switch.threshold_N:g}{rubber}{seen}"
     )
 
 
@@ -173,15 +173,19 @@ def _with_readable(design: "Design") -> tuple["Design", str]:
 
 
 def _with_rubber(design: "Design") -> tuple["Design", str]:
-    """The design with a modulus at which bowls have its thresholds, and words on it if it is new.
+    """The design with a rubber whose bowls have its thresholds, and words on it if it is new.
+
+    Thresholds become a little lower where a rubber with data has those alone.
 
     Raises
     ------
     DesignError
         If no bowl of any rubber has them.
     """
+    from phytac_design.study.advice.design_variables import with_fields
     from phytac_design.workflows.switch_feasibility import (
         check_thresholds,
+        known_rubbers,
         modulus_for,
         threshold_range,
     )
@@ -192,13 +196,19 @@ def _with_rubber(design: "Design") -> tuple["Design", str]:
         found = threshold_range(design, progress=say)
         if found is None:
             raise
-        modulus_MPa = modulus_for(design.switch.threshold_N, found)
-        own = design.switch.model_copy(update={"modulus_MPa": modulus_MPa})
-        return (
-            design.model_copy(update={"switch": own}),
-            f"; the switches' rubber must have {modulus_MPa:g} MPa (switch.modulus_MPa)",
-        )
-    return design, ""
+    else:
+        return design, ""
+    for fields in known_rubbers(design, found):
+        with suppress(DesignError):
+            own = with_fields(design, fields)
+            check_thresholds(own, progress=say)
+            return own, f"; bowls of {own.switch.material} have it (switch.material)"
+    modulus_MPa = modulus_for(design.switch.threshold_N, found)
+    words = (
+        f"; the switches' rubber must have {modulus_MPa:g} MPa (switch.modulus_MPa), and none of "
+        "those with data has: measure yours (phytac switch --help)"
+    )
+    return with_fields(design, {"switch.modulus_MPa": modulus_MPa}), words
 
 
 def _ask_name() -> str:
@@ -255,18 +265,27 @@ def _ask_camera() -> dict[str, Any]:
         ),
     }
     angle = table["field_of_view_deg"]
-    fisheye = angle > STRAIGHT_MAX_deg or typer.confirm(
-        "Is it a fisheye lens?", default=angle > 120.0
-    )
+    if fisheye := angle > STRAIGHT_MAX_deg:
+        say(f"{angle:g}° is taken as a fisheye lens (camera.model); calibrate yours before use")
+    else:
+        fisheye = typer.confirm("Is it a fisheye lens?", default=angle > 120.0)
     return {"model": "kannala_brandt", **table} if fisheye else table
 
 
 def _choose(title: str, items: dict[str, Choice]) -> Choice:
-    """One of several items by its number."""
+    """One of several items by its number, or by the start of its words."""
     for number, words in enumerate(items, start=1):
         typer.echo(f"  {number}. {words}")
-    chosen = _ask_number(f"{title}, number", 1, 1, len(items))
-    return list(items.values())[int(chosen) - 1]
+    by_number = {str(number): words for number, words in enumerate(items, start=1)}
+    while True:
+        answer = str(typer.prompt(f"{title}, number", default="1")).strip()
+        named = [words for words in items if answer and words.lower().startswith(answer.lower())]
+        if answer in by_number or len(named) == 1:
+            return items[by_number.get(answer) or named[0]]
+        if answer.isdecimal():
+            say(f"{answer} is not between 1 and {len(items)}")
+        else:
+            say(f"{answer!r} is {'several' if named else 'none'} of these: give a number")
 
 
 def _ask_number(text: str, default: float, low: float, high: float) -> float:

@@ -1,6 +1,7 @@
 """Whether bowls can have a design's thresholds, for ``phytac check`` and ``phytac new``.
 
-Outcomes are cached by space and rubber: the next check of the same switches solves nothing.
+Outcomes are cached by space and rubber: the next check of the same switches solves nothing, nor
+one of the same rubber in another mix, whose thresholds are in proportion to its modulus.
 """
 
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.engine.cache import publish, record, stage_key
+from phytac_design.engine.cache import lookup, publish, record, stage_key
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.feasible_range import (
@@ -21,7 +22,7 @@ from phytac_design.mechanics.switch.feasible_range import (
     misfit,
     moduli_MPa,
 )
-from phytac_design.mechanics.switch.rubbers import Rubber
+from phytac_design.mechanics.switch.rubbers import RUBBERS, Rubber
 from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_design.mechanics.switch.threshold_bound import far_too_high
@@ -42,14 +43,18 @@ def check_thresholds(design: Design, *, progress: Callable[[str], None] = lambda
     if not design.has_switches:
         return
     rubber, space = rubber_of(design), space_of(design)
+    solved = _solved_range(design, rubber, space)
     faults = []
     for threshold_N in map(float, np.unique(thresholds_N(design, Sensor(design).markers))):
+        if solved is not None and solved.min_N <= threshold_N <= solved.max_N:
+            continue
 
         def solve(wanted_N: float = threshold_N) -> dict[str, Any]:
             far = far_too_high(wanted_N, rubber, space)
             return {"far": far, "misfit": "" if far else misfit(wanted_N, rubber, space)}
 
-        known = _known("threshold_fit", design, space, threshold_N, solve)
+        inputs = [design.switch.material, design.switch.modulus_MPa, asdict(space), threshold_N]
+        known = _known("threshold_fit", inputs, solve)
         why, far = str(known["misfit"]), str(known["far"])
         if far:
             faults.append(f"{_fault_start(threshold_N, rubber, space)}: no wall gives it, {far}")
@@ -76,12 +81,57 @@ def threshold_range(
     rubber, space = rubber_of(design), space_of(design)
 
     def solve() -> dict[str, Any]:
-        progress("finding the thresholds that bowls of this size and rubber can have (once)")
-        found = feasible_range(rubber, space)
+        progress(
+            "finding the thresholds that bowls of this size and rubber can have (once, up to a "
+            "minute)"
+        )
+        found = feasible_range(rubber.of_modulus(1.0), space)
         return {"range": found and asdict(found)}
 
-    found = _known("threshold_range", design, space, 0.0, solve)["range"]
-    return None if found is None else FeasibleRange(**found)
+    found = _known("threshold_range", _range_inputs(design, space), solve)["range"]
+    return None if found is None else FeasibleRange(**found).of_modulus(_modulus_MPa(rubber))
+
+
+def _solved_range(design: Design, rubber: Rubber, space: SwitchSpace) -> FeasibleRange | None:
+    """Thresholds that fit, if they were solved for before."""
+    name = "threshold_range"
+    done = lookup(name, stage_key(name, _range_inputs(design, space)))
+    found = record(done)["range"] if done else None
+    return None if found is None else FeasibleRange(**found).of_modulus(_modulus_MPa(rubber))
+
+
+def _range_inputs(design: Design, space: SwitchSpace) -> list[Any]:
+    """What the thresholds that fit depend on, for a modulus of 1 MPa."""
+    return [design.switch.material, asdict(space)]
+
+
+def known_rubbers(design: Design, found: FeasibleRange) -> list[dict[str, Any]]:
+    """Fields of the rubbers with data whose bowls snap at a design's threshold, or a little below.
+
+    They are estimates by the modulus alone: laws differ. The nearest threshold comes first; none
+    is below half of the design's.
+    """
+    switch, least_share = design.switch, 0.5
+    fitting = []
+    for name, known in RUBBERS.items():
+        own = found.of_modulus(_modulus_MPa(known))
+        # Design files hold two digits: not at the very ends of the range.
+        share = min(1.0, 0.95 * own.max_N / switch.threshold_N)
+        if share < least_share or share * switch.threshold_N < 1.05 * own.min_N:
+            continue
+        fields: dict[str, Any] = {"switch.material": name, "switch.modulus_MPa": 0.0}
+        if share < 1.0:
+            fields |= threshold_fields(design, share)
+        fitting.append((-share, name, fields))
+    return [fields for _, name, fields in sorted(fitting, key=lambda one: one[:2])]
+
+
+def threshold_fields(design: Design, factor: float) -> dict[str, float]:
+    """Fields of threshold and release, a factor times those of the design, to two digits."""
+    return {
+        f"switch.{name}": float(f"{factor * getattr(design.switch, name):.2g}")
+        for name in ("threshold_N", "release_N")
+    }
 
 
 def modulus_for(threshold_N: float, found: FeasibleRange) -> float:
@@ -107,15 +157,8 @@ def _fault_start(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
     )
 
 
-def _known(
-    name: str,
-    design: Design,
-    space: SwitchSpace,
-    threshold_N: float,
-    solve: Callable[[], dict[str, Any]],
-) -> dict[str, Any]:
-    """What ``solve`` finds for a rubber, a space and a threshold, from the cache if it is there."""
-    inputs = [design.switch.material, design.switch.modulus_MPa, asdict(space), threshold_N]
+def _known(name: str, inputs: list[Any], solve: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What ``solve`` finds for inputs, from the cache if it is there."""
 
     def work(_: Path) -> dict[str, Any]:
         return solve()
@@ -124,3 +167,7 @@ def _known(
         return record(publish(name, stage_key(name, inputs), work))
     except OutputError:
         return solve()  # a check writes nothing that the user needs: a full disk is no fault of it
+
+
+def _modulus_MPa(rubber: Rubber) -> float:
+    return float(rubber.material.modulus_MPa)

@@ -1,6 +1,6 @@
 """Which thresholds fit a space, and how that range grows with the modulus."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from phytac_design.mechanics.switch.bowl_check import (
     fillets,
 )
 from phytac_design.mechanics.switch.curve import press_bowl
-from phytac_design.mechanics.switch.rubbers import Rubber
+from phytac_design.mechanics.switch.rubbers import RUBBERS, Rubber
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_design.mechanics.switch.tolerance import limit_load
 from phytac_shapes.errors import DesignError, NumericalError
@@ -40,6 +40,13 @@ class FeasibleRange:
     max_N: float
     min_wall_mm: float
     max_wall_mm: float
+
+    def of_modulus(self, modulus_MPa: float) -> "FeasibleRange":
+        """Range of the same rubber mixed to another modulus: the same walls."""
+        factor = modulus_MPa / self.modulus_MPa
+        return replace(
+            self, modulus_MPa=modulus_MPa, min_N=factor * self.min_N, max_N=factor * self.max_N
+        )
 
 
 def feasible_range(rubber: Rubber, space: SwitchSpace) -> FeasibleRange | None:
@@ -116,7 +123,9 @@ def fit_words(threshold_N: float, found: FeasibleRange) -> str:
     softest_MPa, hardest_MPa = 0.05, 100.0  # gels, and the hardest polyurethanes
     if high < softest_MPa or low > hardest_MPa:
         return f"{fits}; no rubber's modulus would do: ask for a threshold nearer to those"
-    return f"{fits}; or take a rubber of {low:.3g} to {high:.3g} MPa"
+    known = [name for name, one in RUBBERS.items() if low <= one.material.modulus_MPa <= high]
+    named = f" (such as {known[0]})" if known else ""
+    return f"{fits}; or take a rubber of {low:.3g} to {high:.3g} MPa{named}"
 
 
 def moduli_MPa(threshold_N: float, found: FeasibleRange) -> tuple[float, float]:

@@ -11,7 +11,9 @@ from phytac_design.study.advice.design_variables import DesignVariable, with_fie
 from phytac_design.study.advice.quick_repair import READABLE_SHARE, readable_switches
 from phytac_design.workflows.switch_feasibility import (
     check_thresholds,
+    known_rubbers,
     modulus_for,
+    threshold_fields,
     threshold_range,
 )
 from phytac_shapes.errors import PhytacError
@@ -59,7 +61,7 @@ def threshold_changes(
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Change]:
-    """Moduli and thresholds that fit a design whose thresholds no bowl has, each one checked.
+    """Rubbers and thresholds that fit a design whose thresholds no bowl has, each one checked.
 
     They move no marker: its ``figures`` stay as they are.
     """
@@ -67,8 +69,9 @@ def threshold_changes(
     for fields in _threshold_fields(design, progress):
         changed, reason = with_fields(design, fields), ""
         words = ", ".join(
-            f"{name} {getattr(design.switch, name.removeprefix('switch.')):g} → {new:g}"
+            f"{name} {_shown(old)} → {_shown(new)}"
             for name, new in fields.items()
+            if (old := getattr(design.switch, name.removeprefix("switch."))) != new
         )
         progress(f"trying {words}")
         try:
@@ -91,21 +94,21 @@ def threshold_changes(
     return out
 
 
-def _threshold_fields(
-    design: Design, progress: Callable[[str], None]
-) -> Iterator[dict[str, float]]:
-    """The modulus for the threshold, then the nearest threshold of the rubber."""
-    switch, found = design.switch, threshold_range(design, progress=progress)
+def _threshold_fields(design: Design, progress: Callable[[str], None]) -> Iterator[dict[str, Any]]:
+    """A rubber with data, the modulus for the threshold, then the rubber's nearest threshold."""
+    threshold_N, found = design.switch.threshold_N, threshold_range(design, progress=progress)
     if found is None:
         return
-    yield {"switch.modulus_MPa": modulus_for(switch.threshold_N, found)}
+    yield from known_rubbers(design, found)[:1]
+    yield {"switch.modulus_MPa": modulus_for(threshold_N, found)}
     # Design files hold two digits: not at the very ends of the range.
-    nearest_N = float(np.clip(switch.threshold_N, 1.05 * found.min_N, 0.95 * found.max_N))
-    factor = nearest_N / switch.threshold_N
-    yield {
-        f"switch.{name}": float(f"{factor * getattr(switch, name):.2g}")
-        for name in ("threshold_N", "release_N")
-    }
+    nearest_N = float(np.clip(threshold_N, 1.05 * found.min_N, 0.95 * found.max_N))
+    yield threshold_fields(design, nearest_N / threshold_N)
+
+
+def _shown(value: Any) -> str:
+    """Value of a field in words."""
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _several(fields: dict[str, Any], words: str) -> DesignVariable:
