@@ -66,6 +66,11 @@ def test_the_command_writes_a_design(step: Path, tmp_path: Path) -> None:
     design = load_design(str(tmp_path / "mine.toml"))
     assert design.name == "mine"
     assert (design.layout.rows, design.layout.columns) == (13, 10)
+    assert "all else is that of patch: a camera of " in out.stdout
+    assert "forces of 0.5 to 25 N (table training)" in out.stdout
+    # Without a name, that of the file.
+    assert phytac("new", "--from-step", str(step), cwd=tmp_path).returncode == 0
+    assert load_design(str(tmp_path / "face.toml")).name == "face"
 
 
 def test_a_face_that_is_inside_out_is_turned(step: Path, tmp_path: Path) -> None:

@@ -241,6 +241,11 @@ def test_each_answer_is_to_its_own_question() -> None:
                 "their force (90 % at middle heights, 35 % towards the rims)"
             ),
         ),
+        (
+            {"read_well": {"contacts": 60, "share": 0.49, "middle": None, "near_rims": None}},
+            "bad",
+            "49 % of 60 simulated contacts",
+        ),
         ({"shell": {"watertight": False}}, "bad", "NOT watertight"),
         (
             {"fabrication": a_report()["fabrication"] | {"print_violations": 3}},

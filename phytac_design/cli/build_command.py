@@ -170,6 +170,9 @@ def build(
         return
     report = json.loads((page.parent / "report.json").read_text(encoding="utf-8"))
     typer.echo(_verdict(report))
+    linear = [text for text in report["limits"] if text.startswith("linear-tables")]
+    for text in (*linear, *report["changes"]):
+        typer.echo(f"to change or to mind: {text}")
     typer.echo(f"open {page}")
     rest = target / "views" / "frame_rest.png"
     next_step(

@@ -13,6 +13,7 @@ from phytac_design.cli.output import next_step, resumable
 from phytac_shapes.errors import DesignError, OutputError
 
 if TYPE_CHECKING:
+    from phytac_design.design.shell_materials import ShellMaterial
     from phytac_design.design.spec import Design
 
 Choice = TypeVar("Choice")
@@ -57,11 +58,14 @@ def new(
     ] = False,
 ) -> None:
     """Write a commented design file to edit; without a name, ask for shape, camera and forces."""
-    from phytac_design.design.design_file import write_new_design
+    from phytac_design.design.design_file import load_design, write_new_design
+    from phytac_design.design.field_of_view import fields_of_view_deg
     from phytac_design.workflows.design_from_step import patch_changes
 
+    if from_step and not name:
+        name = re.sub(r"[^A-Za-z0-9._-]", "-", from_step.stem)
     if not name:
-        if not in_terminal() or source or from_step:
+        if not in_terminal() or source:
             context.fail("Missing argument 'name'.")
         _ask_design(out, full=full)
         return
@@ -73,6 +77,13 @@ def new(
     changes, said = patch_changes(from_step, face=face, rows=rows, columns=columns)
     typer.echo(
         f"wrote {write_new_design(name, source or 'patch', target, changes=changes)}: {said}"
+    )
+    made = load_design(str(target))
+    across, down = fields_of_view_deg(made.camera.lens())
+    typer.echo(
+        f"all else is that of {source or 'patch'}: a camera of {made.camera.width_px} x "
+        f"{made.camera.height_px} px and {across:.0f}° x {down:.0f}° (table camera), forces of "
+        f"{made.training.force_min_N:g} to {made.training.force_max_N:g} N (table training)"
     )
     next_step(f"edit it, then phytac check {target}")
 
@@ -94,13 +105,26 @@ def _ask_design(out: Path | None, *, full: bool) -> None:
             raise OutputError(
                 "output-exists", f"{target} exists already; choose another name or remove it"
             )
-        kind, sizes_mm = _ask_shape()
-        camera = _ask_camera()
-        least_N = _ask_number("Smallest force of a contact, N", 0.5, 1e-3, 1e4)
-        most_N = _ask_number("Largest force of a contact, N", 25.0, least_N * 1.001, 1e4)
-        design = first_design(
-            name, kind, sizes_mm, camera, force_min_N=least_N, force_max_N=most_N, progress=say
-        )
+        while True:
+            kind, sizes_mm = _ask_shape()
+            camera = _ask_camera()
+            least_N = _ask_number("Smallest force of a contact, N", 0.5, 1e-3, 1e4)
+            most_N = _ask_number("Largest force of a contact, N", 25.0, least_N * 1.001, 1e4)
+            try:
+                design = first_design(
+                    name,
+                    kind,
+                    sizes_mm,
+                    camera,
+                    force_min_N=least_N,
+                    force_max_N=most_N,
+                    material=_ask_material(),
+                    progress=say,
+                )
+                break
+            except DesignError as error:
+                say(f"error[{error.code}]: {error}")
+                typer.confirm("Answer again?", default=True, abort=True)
         design, switches = _switches_of(design, least_N)
         if design.camera.stand_off_mm != "fit":  # nearer, so that it reads the switches
             camera = {**camera, "stand_off_mm": design.camera.stand_off_mm}
@@ -110,8 +134,46 @@ def _ask_design(out: Path | None, *, full: bool) -> None:
         f"{design.layout.wanted} markers, wall {design.wall.thickness_mm:g} mm: every marker is "
         "visible and can be distinguished"
     )
+    typer.echo(_body_words(design))
+    typer.echo(_precision_words(design))
     typer.echo(switches)
     next_step(f"phytac check {target}, then phytac build {target}")
+
+
+def _body_words(design: "Design") -> str:
+    """How large the sensing face is, with what stands out beyond it, and whether it is open."""
+    import numpy as np
+
+    surface = design.surface()
+    steps = [np.linspace(low, high, 65) for low, high in surface.domain]
+    uv = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    size_mm = np.ptp(surface.point(uv), axis=0)
+    words = "sensing face of {:.3g} x {:.3g} x {:.3g} mm".format(*size_mm)
+    if design.wall.rim_length_mm:
+        words += f", and clamped rims of {design.wall.rim_length_mm:g} mm beyond its open edges"
+    if design.shape.model_dump().get("end") == "open":
+        words += '; its far end is open (shape.end = "cap" closes it with a dome)'
+    return words
+
+
+def _precision_words(design: "Design") -> str:
+    """Predicted precision of forces, and what would help where it is poor."""
+    from phytac_design.design.shell_materials import SHELL_MATERIALS
+    from phytac_design.study.advice.first_design import ERROR_MAX, predicted_sd_N
+
+    material, most_N = design.material, design.training.force_max_N
+    label = next(
+        (one.words() for one in SHELL_MATERIALS if one.modulus_MPa == material.modulus_MPa),
+        f"{material.modulus_MPa:g} MPa",
+    )
+    sd_N = predicted_sd_N(design)
+    words = f"shell of {label} (assumed): {most_N:g} N is read to about ± {sd_N:.2g} N at best"
+    if sd_N <= ERROR_MAX * most_N:
+        return words
+    return (
+        f"{words}, which is poor: the wall hardly moves. A softer material (material.modulus_MPa), "
+        "a larger body, or a finer camera helps; phytac build measures it"
+    )
 
 
 def _switches_of(design: "Design", least_N: float) -> tuple["Design", str]:
@@ -232,6 +294,10 @@ def _ask_shape() -> tuple[str, dict[str, float]]:
     from phytac_design.design.unit_hints import unit_hints
     from phytac_design.study.advice.first_design import FAMILIES
 
+    say(
+        "Other shapes: phytac new NAME --from grip, or from a face of your CAD by phytac new NAME "
+        "--from-step FILE"
+    )
     kind = _choose("Shape", {kind: kind for kind in FAMILIES})
     base = load_design(FAMILIES[kind].template).shape.model_dump()
     sizes_mm = {}
@@ -261,7 +327,10 @@ def _ask_camera() -> dict[str, Any]:
         "width_px": int(_ask_number("Image width, px", 1280, 16, 20000)),
         "height_px": int(_ask_number("Image height, px", 720, 16, 20000)),
         "field_of_view_deg": _ask_number(
-            "Field of view across, degrees", 70.0, 5.0, FIELD_OF_VIEW_MAX_deg
+            "Horizontal field of view, degrees (sellers often state the diagonal)",
+            70.0,
+            5.0,
+            FIELD_OF_VIEW_MAX_deg,
         ),
     }
     angle = table["field_of_view_deg"]
@@ -270,6 +339,14 @@ def _ask_camera() -> dict[str, Any]:
     else:
         fisheye = typer.confirm("Is it a fisheye lens?", default=angle > 120.0)
     return {"model": "kannala_brandt", **table} if fisheye else table
+
+
+def _ask_material() -> "ShellMaterial | None":
+    """Material of the shell; None for one that suits the forces."""
+    from phytac_design.design.shell_materials import SHELL_MATERIALS
+
+    suited: dict[str, ShellMaterial | None] = {"the stiffest that suits these forces": None}
+    return _choose("Shell", suited | {one.words(): one for one in SHELL_MATERIALS})
 
 
 def _choose(title: str, items: dict[str, Choice]) -> Choice:

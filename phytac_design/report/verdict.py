@@ -34,7 +34,7 @@ ANSWERS: dict[Matter, dict[Level, str]] = {
     "decoded": {
         "good": "Its forces can be decoded",
         "odd": "Its forces are decoded, with limits",
-        "bad": "Its forces cannot be decoded",
+        "bad": "Its forces are not read well enough",
     },
 }
 WORDS: dict[Level, str] = {"good": "yes", "odd": "with limits", "bad": "no"}
@@ -42,6 +42,8 @@ ERROR_MAX = 0.1
 """A force is read well within this share of it (assumed; the paper's mean error is 2.3 %)."""
 SHARE_MIN = 0.9
 """Share of the contacts anywhere that must be read well for a yes (assumed)."""
+SHARE_BAD = 0.5
+"""Below this share the answer is no (assumed)."""
 SIMULATED = (
     "All decoder figures are in simulation: contacts are solved with a linear shell model (on a "
     "finer mesh than the decoder's own), projected through the camera, and given pixel noise. "
@@ -155,7 +157,7 @@ def _decoded(report: Mapping[str, Any]) -> list[Finding]:
             f"the surface are read within {100.0 * ERROR_MAX:g} % of their force "
             f"({', '.join(where)})"
         )
-        out.append(Finding("decoded", "good" if well["share"] >= SHARE_MIN else "odd", text))
+        out.append(Finding("decoded", _level(well["share"]), text))
     frames = report["frames"]
     if frames["refused"]:
         text = (
@@ -164,6 +166,13 @@ def _decoded(report: Mapping[str, Any]) -> list[Finding]:
         )
         out.append(Finding("decoded", "odd", text))
     return out
+
+
+def _level(share: float) -> Level:
+    """Level of a share of contacts that are read well."""
+    if share >= SHARE_MIN:
+        return "good"
+    return "odd" if share >= SHARE_BAD else "bad"
 
 
 def read_well(context: Context, estimator: str) -> dict[str, Any]:
@@ -289,17 +298,20 @@ def change_list(texts: Sequence[str]) -> str:
     return f'<div class="change"><strong>To change or to mind:</strong><ul>{lines}</ul></div>'
 
 
-def changes_of(context: Context, reasons: Sequence[str]) -> list[str]:
+def changes_of(context: Context, reasons: Sequence[str], well: Mapping[str, Any]) -> list[str]:
     """Sentences without a full stop, each a problem and its remedy.
 
     Parameters
     ----------
     reasons : list of str
         Why stages would stop a build that is not forced.
+    well : dict
+        Of :func:`read_well`.
     """
     return [
         *reasons,
         *_load_remedy(context.facts("underload"), reasons),
+        *_stiff_remedy(context.facts("underload"), well),
         *_print_remedies(context.facts("printing")),
         *_switch_warnings(context.facts("switch")),
     ]
@@ -313,6 +325,21 @@ def _load_remedy(load: Mapping[str, Any], reasons: Sequence[str]) -> list[str]:
     text = (
         f"from {first:.3g} N on a marker hides or fuses: space the markers wider, use more pixels "
         "or a thicker wall, or keep below that force (demands.clear_force_N makes a build insist)"
+    )
+    return [text]
+
+
+def _stiff_remedy(load: Mapping[str, Any], well: Mapping[str, Any]) -> list[str]:
+    """Remedy for a wall that moves too little for its camera."""
+    share = well["share"]
+    if share is None or share >= SHARE_BAD:
+        return []
+    text = (
+        f"only {100.0 * share:.0f} % of the contacts are read within {100.0 * ERROR_MAX:g} % of "
+        f"their force: {load['force_N']:g} N moves no marker's image by more than "
+        f"{load['greatest_shift_px']:.2g} px. Take a thinner wall (wall.thickness_mm), a softer "
+        "material (material.modulus_MPa), or a camera with more pixels across it; phytac advise "
+        "evaluates such changes"
     )
     return [text]
 

@@ -13,6 +13,7 @@ from phytac_design.simulation.response_tables import (
     place_spacing_mm,
     tabulate_responses,
 )
+from phytac_design.simulation.scenario.linear_error import linear_error
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import (
     IMAGE_ARRAYS,
@@ -51,7 +52,13 @@ def run_places(context: Context, folder: Path) -> None:
             "pairs": len(places.pairs.grid.point_mm) if places.pairs else 0,
             "walls": [round(give, 6) for give in done.give],
             "radius_mm": places.radius_mm,
-            **({"top_N": places.top_N} if places.orders > 1 else {}),
+            **(
+                {"top_N": places.top_N}
+                if places.orders > 1
+                else {
+                    "linear_error": float(f"{min(linear_error(context.sensor, scope), 10.0):.3g}")
+                }
+            ),
             "spacing_mm": places.spacing_mm,
         },
     )
@@ -85,6 +92,7 @@ def locator_of(context: Context) -> ContactLocator:
         # Measured shifts are differences of two centroids.
         # A print's thickness differs by 3 % from place to place, its stiffness by 7 %. Tips leave
         # 0.07 px in rendered frames of the design, and 0.13 px in those of a print.
+        linear_error=float(facts.get("linear_error", 0.0)),
         noise=ShiftNoise(
             centroid_px=1.4 * design.camera.noise_centroid_px, share=0.07, switched_px=0.2
         ),

@@ -30,6 +30,7 @@ def gather(context: Context) -> dict[str, Any]:
     design, markers = context.design, context.markers
     views, shell, step = (context.facts(name) for name in ("views", "shell", "step"))
     decoder, frames, twin = (context.facts(name) for name in ("decoder", "frames", "twin"))
+    well = read_well(context, best_of({"decoder": decoder["test"]}))
     density = views["density"]
     reasons = forced_past(context)
     timing = {name: cache.record(folder)["seconds"] for name, folder in context.folders.items()}
@@ -54,7 +55,7 @@ def gather(context: Context) -> dict[str, Any]:
             "colours": check_paints(design).summary(),
         },
         "forced": reasons,
-        "changes": changes_of(context, reasons),
+        "changes": changes_of(context, reasons, well),
         "visibility": views["visibility"],
         "straight": context.facts("compare")["straight"],
         "under_load": context.facts("underload"),
@@ -76,7 +77,7 @@ def gather(context: Context) -> dict[str, Any]:
         "mesh": context.facts("mesh"),
         "decoder": {name: decoder["test"][name] for name in decoder["test"]},
         "decoder_anywhere": decoder["anywhere"],
-        "read_well": read_well(context, best_of({"decoder": decoder["test"]})),
+        "read_well": well,
         "training": decoder["training"],
         "limits": decoder["limits"]["sentences"],
         "limit_figures": {k: v for k, v in decoder["limits"].items() if k != "sentences"},

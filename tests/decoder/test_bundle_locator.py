@@ -113,6 +113,31 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
     )
 
 
+def test_linear_tables_are_a_limit(tmp_path: Path) -> None:
+    saved = bundle()
+    locator = saved.model.locator
+    assert locator is not None
+    for error, fitted, words in (
+        (0.844, False, "up to 84 % off at 25 N"),
+        (1.5, False, "more than 100 % off at 25 N"),
+        (0.04, False, ""),
+        (0.844, True, ""),
+    ):
+        own = replace(
+            locator,
+            linear_error=error,
+            correction=locator.correction if fitted else None,
+            prior=replace(locator.prior, force_N=25.0),
+        )
+        save_bundle(replace(saved, model=replace(saved.model, locator=own)), tmp_path)
+        loaded = load_bundle(tmp_path)
+        assert loaded.model.locator is not None
+        assert loaded.model.locator.linear_error == error
+        found = [text for text in loaded.limits() if text.startswith("linear-tables: ")]
+        assert len(found) == bool(words)
+        assert all(words in text and "--accuracy standard" in text for text in found)
+
+
 def test_edges_of_markers_count_as_they_were_saved(tmp_path: Path) -> None:
     bundle = toy_bundle()
     save_bundle(replace(bundle, colours=replace(bundle.colours, edge=0.2)), tmp_path)

@@ -12,7 +12,7 @@ from phytac_decoder.estimation.contact_estimates import LocatedContact
 from phytac_decoder.estimation.contact_fit import SETTINGS as FIT_SETTINGS
 from phytac_decoder.estimation.contact_fit import ShiftObservation, robust_cost
 from phytac_decoder.estimation.force_correction import ForceCorrection
-from phytac_decoder.estimation.locator import SETTINGS, SwitchForces
+from phytac_decoder.estimation.locator import SETTINGS, ContactLocator, SwitchForces
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_shapes.arrays import FloatArray
@@ -244,6 +244,33 @@ def test_the_share_of_a_down_weighted_marker_is_what_its_sum_grows_with() -> Non
         assert (up - down) / (2.0 * step[k]) == pytest.approx(
             2.0 * share[k] * inverse[k] * left[k], rel=1e-4
         )
+
+
+def test_intervals_hold_the_error_of_linear_tables() -> None:
+    middle = point(31.3, 28.4)
+    shift, koi = shifts(middle, 10.0).reshape(-1, 2), np.array([nearest(middle)])
+    plain = replace(LOCATOR, prior=replace(LOCATOR.prior, force_N=20.0))
+    curved = replace(plain, linear_error=0.4)
+
+    def contact_of(one: ContactLocator) -> LocatedContact:
+        (contact,) = one.find(shift, koi).contacts
+        return contact
+
+    # 0.4 at 20 N is 0.2 at 10 N.
+    one, other = contact_of(curved), contact_of(plain)
+    assert one.force_N == other.force_N
+    more_N = np.sqrt(one.sd_N**2 - other.sd_N**2)
+    assert 1.645 * more_N == pytest.approx(0.4 * one.force_N**2 / 20.0, rel=1e-6)
+    assert contact_of(curved.linear).sd_N == contact_of(plain.linear).sd_N
+    # Data that a correction was fitted to have the error.
+    fitted = ForceCorrection.plain(low_mm=np.zeros(3), size_mm=60.0, force_max_N=25.0)
+    both = (contact_of(replace(each, correction=fitted)).sd_N for each in (curved, plain))
+    assert len(set(both)) == 1
+    # Contacts without a switch are found all the same.
+    loud, silent = point(15.0, 15.0), point(45.0, 42.0)
+    two = together([loud, silent], [10.0, 2.0]).reshape(-1, 2)
+    steep = replace(plain, linear_error=10.0)
+    assert len(steep.find(two, np.array([nearest(loud)])).contacts) == 2
 
 
 def test_no_contact_lies_beyond_a_rim() -> None:

@@ -215,14 +215,22 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         context.folders[name] = tmp_path / name
         write_facts(tmp_path / name, values)
-    assert verdict.changes_of(context, []) == []
+    assert verdict.changes_of(context, [], {"share": None}) == []
+    assert verdict.changes_of(context, [], {"share": 0.5}) == []
+    load = {"first_force_N": None, "force_N": 8.0, "greatest_shift_px": 0.293}
+    write_facts(tmp_path / "underload", load)
+    (stiff,) = verdict.changes_of(context, [], {"share": 0.15})
+    assert stiff.startswith(
+        "only 15 % of the contacts are read within 10 % of their force: 8 N moves no marker's "
+        "image by more than 0.29 px. Take a thinner wall"
+    )
     write_facts(tmp_path / "underload", {"first_force_N": 12.5})
     hole = violation("hole", "widen the hole", 0.2)
     files = {"shell/shell.stl": {"violations": [*broken, hole]}, "a.stl": {"violations": []}}
     write_facts(tmp_path / "printing", {"files": files})
     spread = {"warnings": ["assumed: x", "the threshold spreads"]}
     write_facts(tmp_path / "switch", {"switches": [spread, spread]})
-    found = verdict.changes_of(context, ["2 markers hidden; move the camera back"])
+    found = verdict.changes_of(context, ["2 markers hidden; move the camera back"], {"share": 0.9})
     assert found[0] == "2 markers hidden; move the camera back"
     assert found[1].startswith("from 12.5 N on a marker hides or fuses: ")
     assert found[2].startswith("3 places of shell/shell.stl break the print rule wall")
@@ -231,7 +239,9 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
     assert found[3].endswith(": widen the hole")
     assert found[4:] == ["the threshold spreads"]
     # What the design's own demand says already is not said twice.
-    again = verdict.changes_of(context, ["under load markers hide or fuse from 12.5 N on"])
+    again = verdict.changes_of(
+        context, ["under load markers hide or fuse from 12.5 N on"], {"share": 0.9}
+    )
     assert sum("from 12.5 N" in text for text in again) == 1
 
 

@@ -126,6 +126,9 @@ class ContactLocator:
     stiffness_change : float
         Relative standard deviation of the wall's stiffness against that when the correction was
         fitted.
+    linear_error : float
+        Relative error of linear tables at the design's largest force; 0 where they are not linear.
+        It grows in proportion to the force.
     """
 
     places: ResponseTable
@@ -139,12 +142,14 @@ class ContactLocator:
     blind: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     camera_motion: CameraMotion | None = None
     stiffness_change: float = 0.0
+    linear_error: float = 0.0
 
     @property
     def linear(self) -> "ContactLocator":
         """The same with the first order of its tables alone, for a linear shell."""
         first = np.ascontiguousarray(self.places.shift_px[:, :1])
-        return replace(self, places=replace(self.places, shift_px=first, pairs=None, walls=None))
+        places = replace(self.places, shift_px=first, pairs=None, walls=None)
+        return replace(self, places=places, linear_error=0.0)
 
     def for_another_print(self) -> "ContactLocator":
         """The same for a print of unknown stiffness, if it was fitted to one."""
@@ -525,6 +530,7 @@ class ContactLocator:
             force = raw * self.correction.factor(points, raw, signal)
             spread_N = self.correction.spread_N(force, sd[:, 0])
             spread_N = np.hypot(spread_N, self.stiffness_change * force)
+        stated_N = np.hypot(spread_N, self._linear_sd_N(raw))
         for k, state in enumerate(states):
             on, share = koi[owner == k], covered[k, owner == k]
             sure = force[k] >= SETTINGS.unreadable_sd_min * spread_N[k]
@@ -540,7 +546,7 @@ class ContactLocator:
                     markers=on,
                     share=(share + 1e-6) / np.sum(share + 1e-6),
                     force_N=float(force[k]),
-                    sd_N=float(spread_N[k]),
+                    sd_N=float(stated_N[k]),
                     raw_N=float(raw[k]),
                     raw_sd_N=float(sd[k, 0]),
                     point_mm=points[k],
@@ -553,6 +559,15 @@ class ContactLocator:
             )
         out.contacts.sort(key=lambda contact: len(contact.markers) == 0)
         return out
+
+    def _linear_sd_N(self, force_N: FloatArray) -> FloatArray:
+        """Return the error (c,) N of linear tables, so that a 90 % interval holds it.
+
+        It does not say whether there is a contact at all.
+        """
+        if self.correction is not None:  # fitted to data that have it
+            return np.zeros_like(force_N)
+        return np.asarray(self.linear_error * force_N**2 / self.prior.force_N / 1.645)
 
     def _force_by_extent(self, states: Sequence[ContactState]) -> FloatArray:
         """Return the error (c,) N of contacts that are too large for their second moments alone."""

@@ -47,6 +47,7 @@ def locator_table(locator: ContactLocator) -> dict[str, Any]:
     return {
         "radius_mm": places.radius_mm,
         **({"top_N": places.top_N} if np.isfinite(places.top_N) else {}),
+        **({"linear_error": locator.linear_error} if locator.linear_error else {}),
         "footprint_mm": locator.footprint_mm,
         "prior": _plain(locator.prior),
         "noise": _plain(locator.noise, "ratio", "predicted"),
@@ -202,6 +203,8 @@ def locator_from(
             predicted=_predicted(own),
         ),
         correction=correction,
+        # Up to schema 1.17 it was not stored.
+        linear_error=number(table.get("linear_error", 0.0)),
     )
 
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phytac_decoder.estimation.locator import SETTINGS
+from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
 from phytac_decoder.vision.switch_detection import RED_AREA_MIN_px
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 NOISE_SHARE_MAX = 0.2
 """Largest noise of a force that can be used, as a share of the greatest force."""
+LINEAR_ERROR_MAX = 0.05
+"""Linear tables that are less far off at the greatest force are not mentioned."""
 
 
 def axial_rotation(turns: float) -> FloatArray:
@@ -69,6 +71,27 @@ def orientation_notes(bundle: "Bundle") -> list[str]:
     return [text]
 
 
+def _table_limits(locator: ContactLocator | None) -> list[str]:
+    """Limits of the tables of the estimator ``auto``."""
+    if locator is None:
+        return []
+    out = []
+    if locator.places.shear is None:
+        out.append(
+            "this decoder was built before force along the surface was estimated: friction is read "
+            "as normal force, or as contacts that do not exist; build and train it again"
+        )
+    error = locator.linear_error
+    if locator.correction is None and error > LINEAR_ERROR_MAX:
+        share = "more than 100" if error > 1.0 else f"up to {100.0 * error:.0f}"
+        out.append(
+            f"linear-tables: this decoder takes the wall as linear (accuracy draft), {share} % off "
+            f"at {locator.prior.force_N:g} N and less at smaller forces; the intervals of auto "
+            "allow for it, figures of linear simulations do not; build with --accuracy standard"
+        )
+    return out
+
+
 def limits_of(bundle: "Bundle", estimator: str | None = None) -> list[str]:
     """Each limit as a sentence; empty for none."""
     out = []
@@ -92,12 +115,7 @@ def limits_of(bundle: "Bundle", estimator: str | None = None) -> list[str]:
             f"({id_list(unread)}): the camera sees nearly as much red at rest as when they are "
             "on; they count only where the markers' motion agrees"
         )
-    locator = bundle.model.locator
-    if locator is not None and locator.places.shear is None:
-        out.append(
-            "this decoder was built before force along the surface was estimated: friction is read "
-            "as normal force, or as contacts that do not exist; build and train it again"
-        )
+    out += _table_limits(bundle.model.locator)
     if bundle.other_print_mm:
         out.append(
             f"another-print: markers at rest are {bundle.other_print_mm:.2f} mm (median) from "

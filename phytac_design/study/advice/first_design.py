@@ -4,16 +4,20 @@ The layout is that of a shipped design of the family, stretched to the size, and
 every rule is kept and the camera sees every marker.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
+import numpy as np
+
 from phytac_design.design.design_file import load_design, parse_design
+from phytac_design.design.shell_materials import SHELL_MATERIALS, ShellMaterial
 from phytac_design.design.spec import Design
 from phytac_design.rules.check import check_design
-from phytac_design.study.advice.design_evaluation import FIGURES, strain_of
+from phytac_design.study.advice.design_variables import with_fields
 from phytac_design.study.advice.quick_repair import seen_at_rest
+from phytac_design.study.search.surrogate import Predicted, predict
 from phytac_shapes.errors import DesignError, PhytacError
 
 
@@ -41,6 +45,10 @@ HEIGHTS = (1.0, 0.7, 0.45)
 MARKERS_MIN = 8
 """Fewer determine no contact's force, place and size."""
 WALLS_mm = (0.8, 1.0, 1.2, 1.6, 2.0, 2.5, 3.0)
+ERROR_MAX = 0.02
+"""Predicted standard deviation of a force, over the largest one, that the shell must allow."""
+DENT_MAX = 1.0
+"""Deepest dent over the wall's thickness; beyond, walls are far from linear."""
 
 
 def first_design(
@@ -51,6 +59,7 @@ def first_design(
     *,
     force_min_N: float,
     force_max_N: float,
+    material: ShellMaterial | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
     """Propose a design that passes ``phytac check``.
@@ -64,8 +73,9 @@ def first_design(
     camera : dict
         Table ``camera``.
     force_min_N, force_max_N : float
-        Expected forces of a contact. The wall is the thinnest whose predicted strain at the
-        largest force stays below the limit of ``phytac advise``.
+        Expected forces of a contact. The wall is the thinnest that bears the largest one.
+    material : ShellMaterial, optional
+        Of the shell; the stiffest with which forces are read to ``ERROR_MAX`` if not given.
 
     Raises
     ------
@@ -80,7 +90,7 @@ def first_design(
             continue
         progress(f"trying {design.layout.wanted} markers")
         try:
-            design = _strong(design)
+            design = _with_shell(design, (material,) if material else SHELL_MATERIALS)
             seen = seen_at_rest(check_design(design))
         except PhytacError as error:
             least = str(error)
@@ -167,13 +177,40 @@ def _ratio(sizes_mm: dict[str, float], base: dict[str, Any], fields: tuple[str, 
     return float(sum(sizes_mm[field] for field in own) / sum(base[field] for field in own))
 
 
-def _strong(design: Design) -> Design:
-    """The design with the thinnest wall that bears its largest force; the thickest if none does."""
-    limit = FIGURES["strain"].limit or float("inf")
-    data = design.model_dump(mode="json")
-    for thickness in WALLS_mm:
-        data["wall"] = {**data["wall"], "thickness_mm": thickness}
-        design = parse_design(data, design.name)
-        if strain_of(check_design(design)) <= limit:
-            break
-    return design
+def predicted_sd_N(design: Design) -> float:
+    """Standard deviation of the largest force, N, by closed form: the median along the sensor.
+
+    A bound: that of one contact at a time, seen by all markers, through a camera that stands still.
+    """
+    return float(np.median(_predicted(design).bound.force_N))
+
+
+def _predicted(design: Design) -> Predicted:
+    sensor = check_design(design)
+    return predict(sensor, sensor.cameras, np.ones(sensor.markers.count, dtype=np.bool_))
+
+
+def _with_shell(design: Design, materials: Sequence[ShellMaterial]) -> Design:
+    """The design with a shell that bears its largest force, and moves enough to show it.
+
+    Each material has the thinnest wall that bears the force; the thickest if none does. The first
+    with which forces are read to ``ERROR_MAX`` is taken, else the one that reads them best.
+    """
+    tried = []
+    for material in materials:
+        fields = {"modulus_MPa": material.modulus_MPa, "poisson": material.poisson}
+        for thickness in WALLS_mm:
+            own = with_fields(
+                design,
+                {f"material.{name}": value for name, value in fields.items()}
+                | {"wall.thickness_mm": thickness},
+            )
+            found = _predicted(own)
+            deepest = found.dent_mm.max() / thickness
+            if found.strain.max() <= material.strain_max and deepest <= DENT_MAX:
+                break
+        error = float(np.median(found.bound.force_N)) / design.training.force_max_N
+        if error <= ERROR_MAX:
+            return own
+        tried.append((error, own))
+    return min(tried, key=lambda one: one[0])[1]

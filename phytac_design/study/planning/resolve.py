@@ -9,10 +9,7 @@ from phytac_design.design.scene import ContactSection, Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage
 from phytac_design.layout.sensor import Sensor
-from phytac_design.mechanics.large.quasi_newton import LINEAR_ERROR_SAFETY, QuasiNewtonSolver
-from phytac_design.mechanics.meshing.mesh import marker_size_mm, plain_mesh
-from phytac_design.mechanics.shell.loads import patch_loads
-from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+from phytac_design.simulation.scenario.linear_error import linear_error
 from phytac_design.simulation.scenario.scene_scope import Scope, windows_of
 from phytac_design.stages import STAGES
 from phytac_shapes.arrays import BoolArray
@@ -235,28 +232,3 @@ def _theory(accuracy: Accuracy, scene: Scene, off: float, why: dict[str, str]) -
     allowed = scene.error_allowed
     press = max(min(accuracy.press_tolerance, allowed), allowed / 2.0)
     return replace(accuracy, place_orders=orders, press_tolerance=press)
-
-
-def linear_error(sensor: Sensor, scope: Scope | None) -> float:
-    """Error of linear theory at the largest force, over the largest motion, with its safety factor.
-
-    The worst of up to three presses on a coarse mesh: in the middle of each region, or of the whole
-    surface, where the wall is softest. Takes less than a second.
-    """
-    design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    mesh = plain_mesh(
-        surface,
-        thickness_mm=design.wall.thickness_mm,
-        size_mm=marker_size_mm(surface, markers.count, refine=2),
-    )
-    model = sensor_model(design, markers, mesh, receptors=not unknown_receptors(design))
-    training = design.training
-    radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
-    if scope is None:
-        places = surface.domain.mean(axis=1)[None]
-    else:
-        places = np.array([window.at(np.array([[0.5, 0.5]]))[0] for window in scope.windows[:3]])
-    loads = training.force_max_N * patch_loads(mesh, surface, places, radius).toarray()
-    shell = QuasiNewtonSolver(model)
-    errors = [shell.expand(loads[:, k]).error for k in range(len(places))]
-    return LINEAR_ERROR_SAFETY * float(max(errors))
