@@ -3,9 +3,10 @@
 Part ``mujoco``: spheres pressed on a virtual print in MuJoCo, decoded by its decoder as designed;
 the same presses, solved and seen as ``phytac simulate`` does, are beside them. Part ``parts``:
 exported parts of all shipped designs in MuJoCo and OpenUSD. Part ``environments``: grasps in the
-Gymnasium environments. Part ``recordings``: files for Rerun and LeRobot. ::
+Gymnasium environments. Part ``recordings``: files for Rerun and LeRobot. Part ``ros2``: the stream
+as ROS 2 topics. ::
 
-    python -m benchmarks.connect [--parts mujoco,parts,environments,recordings] [--quick]
+    python -m benchmarks.connect [--parts mujoco,parts,environments,recordings,ros2] [--quick]
 """
 
 import time
@@ -20,6 +21,7 @@ from benchmarks.connect_environments import grasped, loop_seconds
 from benchmarks.connect_parts import exported
 from benchmarks.connect_presses import PressRig, found_beside, only
 from benchmarks.connect_recordings import recorded
+from benchmarks.connect_ros2 import streamed
 from benchmarks.decoder_data import job_of, small_design
 from benchmarks.decoder_evaluation import by_design, mechanics
 from benchmarks.harness import Table, run_parts
@@ -213,6 +215,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "parts": partial(exported, quick=quick),
         "environments": partial(grasped, quick=quick),
         "recordings": partial(recorded, quick=quick),
+        "ros2": partial(streamed, quick=quick),
     }
 
 

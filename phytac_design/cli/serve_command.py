@@ -1,7 +1,7 @@
 """The command that streams forces, and what the commands that decode have in common."""
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -171,6 +171,12 @@ def serve(
     wait: Annotated[
         bool, typer.Option("--wait", help="Start when the first client has connected.")
     ] = False,
+    ros2: Annotated[
+        bool,
+        typer.Option(
+            "--ros2", help="Publish ROS 2 topics, too, in the domain ROS_DOMAIN_ID (extra ros2)."
+        ),
+    ] = False,
 ) -> None:
     """Stream forces to robots, Unity or ROS over TCP, until the source ends or Ctrl-C."""
     import time
@@ -226,6 +232,8 @@ def serve(
             )
         )
         kept = open_recorders(stack, record, record_regions, messages)
+        if ros2:
+            kept[Path("ROS 2")] = open_topics(stack, messages, session.tare.tare, report)
         for limit in loaded.limits(session.estimator):
             report(f"warning: {limit}")
         if not (server.host.startswith("127.") or server.host == "::1"):
@@ -446,6 +454,33 @@ def named_regions(
     from phytac_design.layout.region_chart import bundle_regions
 
     return bundle_regions(path, bundle, folder, design)
+
+
+def open_topics(
+    stack: contextlib.ExitStack,
+    messages: "MessageBuilder",
+    tare: "Callable[[], None]",
+    report: "Callable[[str], None]",
+) -> "MessageRecorder":
+    """ROS 2 topics of a stream, which the stack ends.
+
+    Raises
+    ------
+    MissingPartError
+        If DDS is not installed.
+    InputError, OutputError
+        See :class:`phytac_design.core.ros2_topics.Ros2Topics`.
+    """
+    from phytac_design.core.ros2_topics import TOPICS, Ros2Topics
+
+    topics = stack.enter_context(Ros2Topics(messages, tare))
+    report(f"ROS 2: topics {TOPICS}... and service {TOPICS}tare in domain {topics.domain}")
+    if not topics.local:
+        report(
+            "warning: whoever is in this network can listen and tare over ROS 2; "
+            "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST keeps topics on this machine"
+        )
+    return topics
 
 
 def open_recorders(

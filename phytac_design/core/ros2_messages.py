@@ -126,14 +126,14 @@ def cdr_bytes(type_name: str, fields: dict[str, Any]) -> bytes:
 
 
 @cache
-def _parsed(type_name: str) -> tuple[tuple[str, str, str], ...]:
+def parsed_fields(type_name: str) -> tuple[tuple[str, str, str], ...]:
     """Type, array suffix and name of each field; constants are none."""
     fields = (line.split(" ") for line in DEFINITIONS[type_name].splitlines() if "=" not in line)
     return tuple((*kind.partition("[")[::2], name) for kind, name in fields)
 
 
 def _put_fields(out: bytearray, type_name: str, fields: dict[str, Any]) -> None:
-    for kind, suffix, name in _parsed(type_name):
+    for kind, suffix, name in parsed_fields(type_name):
         value = fields[name]
         if not suffix:
             _put(out, kind, value)
@@ -189,7 +189,7 @@ def frame_messages(message: Message, stamp_ns: int, markers: int) -> Iterator[To
                 if contact["region"] == region["name"]
             ]
             force, moment = np.sum([np.zeros((2, 3)), *own], axis=0)
-            yield _wrench(f"regions/{_topic_name(region['name'])}/wrench", header, force, moment)
+            yield _wrench(region_topic(region["name"]), header, force, moment)
         for contact, wrench in zip(contacts, wrenches, strict=True):
             yield _tactile(header, contact, wrench)
         yield _arrows(header, contacts, wrenches)
@@ -338,7 +338,7 @@ def _diagnostics(header: dict[str, Any], message: Message) -> TopicMessage:
     return TopicMessage("diagnostics", "diagnostic_msgs/DiagnosticArray", fields)
 
 
-def _topic_name(name: str) -> str:
-    """A region's name as a part of a topic: letters, digits and underscores."""
+def region_topic(name: str) -> str:
+    """Topic of a region's wrench; in its name are letters, digits and underscores alone."""
     plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
-    return plain if plain[:1].isalpha() else f"region_{plain}"
+    return f"regions/{plain if plain[:1].isalpha() else f'region_{plain}'}/wrench"
