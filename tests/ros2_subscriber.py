@@ -1,11 +1,13 @@
 """A subscriber of ROS 2 topics over DDS, written from the published .msg files alone.
 
 Prints ``ready`` when every topic has a publisher, then each message as a line of JSON, until
-standard input closes or says ``tare``: then the service's reply, too.
+standard input closes or says ``tare``: then the service's reply, too. With ``count``, it counts
+contacts instead.
 """
 
 import dataclasses
 import json
+import select
 import sys
 import time
 from dataclasses import dataclass
@@ -13,7 +15,16 @@ from dataclasses import dataclass
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.types import (
-    array, byte, float32, float64, int32, int64, sequence, uint8, uint32, uint64,
+    array,
+    byte,
+    float32,
+    float64,
+    int32,
+    int64,
+    sequence,
+    uint8,
+    uint32,
+    uint64,
 )  # fmt: skip
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -242,29 +253,50 @@ RELIABLE = Qos(
 BEST_EFFORT = Qos(Policy.Reliability.BestEffort, Policy.History.KeepAll)
 
 
-def main(domain: int, topics: list[str]) -> None:
+def count(reader: DataReader) -> None:
+    """Contacts of each time stamp, and when the last came, until standard input says something."""
+    found = {}
+    while not select.select([sys.stdin], [], [], 0.001)[0]:
+        for contact in reader.take(N=100):
+            stamp = contact.header.stamp
+            at = f"{stamp.sec}.{stamp.nanosec:09}"
+            late_ms = 1e3 * (time.time() - stamp.sec - 1e-9 * stamp.nanosec)
+            so_far = found.get(at, {"contacts": 0})["contacts"]
+            found[at] = {"contacts": so_far + 1, "late_ms": round(late_ms, 3)}
+    print(json.dumps(found))
+
+
+def main(domain: int, topics: list[str], *, counting: bool = False) -> None:
     _ = Domain(domain, LOCAL)
     here = DomainParticipant(domain)
     readers = {}
     for topic in topics:
         where = Topic(here, f"rt/phytac/{topic}", TOPICS[topic])
         # One of the other kind, as rclcpp::SensorDataQoS asks for.
-        readers[topic] = DataReader(here, where, qos=BEST_EFFORT if topic == "switches" else RELIABLE)
+        readers[topic] = DataReader(
+            here, where, qos=BEST_EFFORT if topic == "switches" else RELIABLE
+        )
     ask = DataWriter(here, Topic(here, "rq/phytac/tareRequest", TriggerRequest), qos=RELIABLE)
     replies = DataReader(here, Topic(here, "rr/phytac/tareReply", TriggerResponse), qos=RELIABLE)
-    while not (all(one.get_matched_publications() for one in readers.values())
-               and ask.get_matched_subscriptions() and replies.get_matched_publications()):  # fmt: skip
+    ends = [one.get_matched_publications for one in (*readers.values(), replies)]
+    while not all(end() for end in (*ends, ask.get_matched_subscriptions)):
         time.sleep(0.02)
     print("ready", flush=True)
+    if counting:
+        count(readers["contacts"])
+        return
     if sys.stdin.readline().strip() == "tare":
         ask.write(TriggerRequest(guid=2**63 + 5, seq=3, structure_needs_at_least_one_member=0))
         while not (found := replies.take()):
             time.sleep(0.02)
         print(json.dumps({"tare": dataclasses.asdict(found[0])}))
     for topic, reader in readers.items():
-        for one in reader.take(N=1000):
+        for one in (one for one in reader.take(N=1000) if isinstance(one, TOPICS[topic])):
             print(json.dumps({topic: dataclasses.asdict(one)}, default=list))
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), sys.argv[2:] or list(TOPICS))
+    if sys.argv[2:] == ["count"]:
+        main(int(sys.argv[1]), ["contacts"], counting=True)
+    else:
+        main(int(sys.argv[1]), sys.argv[2:] or list(TOPICS))

@@ -69,11 +69,13 @@ def plain(value: Any, kind: str = "") -> Any:
 def test_a_stranger_receives_every_field(domain: str) -> None:
     make = messages()
     sent = frames(make, 3)
-    with subscribed(domain) as other, Ros2Topics(make) as topics:
-        assert other.stdout is not None
-        assert other.stdout.readline() == "ready\n"
-        for message in sent:
-            topics.add(message)
+    with subscribed(domain) as other:
+        with Ros2Topics(make) as topics:
+            assert other.stdout is not None
+            assert other.stdout.readline() == "ready\n"
+            for message in sent:
+                topics.add(message)
+        # Nothing is lost at the end.
         time.sleep(0.5)
         printed, _ = other.communicate("end\n", timeout=PATIENCE_S)
     found, names = received(printed), set[str]()
@@ -86,7 +88,9 @@ def test_a_stranger_receives_every_field(domain: str) -> None:
     (info,) = camera_messages(make.bundle.cameras, round(1e9 * START_s))
     expected["camera/camera_info"].append(plain(info.fields))
     assert found == expected
-    inner = {name for name in DEFINITIONS if any(name in DEFINITIONS[other] for other in DEFINITIONS)}
+    inner = {
+        name for name in DEFINITIONS if any(name in DEFINITIONS[other] for other in DEFINITIONS)
+    }
     assert len(inner | names | {"sensor_msgs/CameraInfo"}) >= 20
     assert (topics.rows, topics.dropped) == (3, 0)
 

@@ -473,7 +473,14 @@ def open_topics(
     """
     from phytac_design.core.ros2_topics import TOPICS, Ros2Topics
 
-    topics = stack.enter_context(Ros2Topics(messages, tare))
+    topics = Ros2Topics(messages, tare)
+
+    def lost() -> None:
+        if topics.dropped:
+            report(f"warning: {topics.dropped} frames were not sent over ROS 2: it took too long")
+
+    stack.callback(lost)
+    stack.enter_context(topics)
     report(f"ROS 2: topics {TOPICS}... and service {TOPICS}tare in domain {topics.domain}")
     if not topics.local:
         report(

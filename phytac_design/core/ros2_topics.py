@@ -4,7 +4,6 @@ ROS's names: topic ``/a`` is ``rt/a`` in DDS, type ``p/T`` is ``p::msg::dds_::T_
 CDR. Endpoints carry the hash of their type, as from ROS 2 Iron on.
 """
 
-import contextlib
 import os
 import threading
 from collections import deque
@@ -128,9 +127,9 @@ class Ros2Topics:
         self._ending.set()
         self._arrived.set()
         self._thread.join(2.0)
-        for writer in self._writers.values():
-            with contextlib.suppress(self._dds.core.DDSException):
-                writer.wait_for_acks(self._dds.util.duration(seconds=0.2))
+        # DDS deletes them when it has sent what waits, or after a second.
+        self._writers.clear()
+        del self._asked, self._replies, self._participant
 
     def add(self, message: Message) -> None:
         """Hand over a frame; returns at once.
@@ -192,6 +191,7 @@ class Ros2Topics:
             policy.Reliability.Reliable(self._dds.util.duration(milliseconds=100)),
             policy.Durability.Volatile,
             policy.History.KeepLast(depth),
+            policy.WriterDataLifecycle(autodispose=False),
             policy.DataRepresentation(use_cdrv0_representation=True),
             policy.Userdata(user_data.encode()),
         )
@@ -201,7 +201,10 @@ class Ros2Topics:
 
         As rmw_cyclonedds has them: a request begins with its client and number, which come back.
         """
-        types, head = "std_srvs::srv::dds_::Trigger_", (("uint64", "", "guid"), ("int64", "", "seq"))
+        types, head = (
+            "std_srvs::srv::dds_::Trigger_",
+            (("uint64", "", "guid"), ("int64", "", "seq")),
+        )
         empty = ("uint8", "", "structure_needs_at_least_one_member")
         asked = dds_type(f"{types}Request_", (*head, empty), encoded=False)
         reply = dds_type(
