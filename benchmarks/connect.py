@@ -2,9 +2,10 @@
 
 Part ``mujoco``: spheres pressed on a virtual print in MuJoCo, decoded by its decoder as designed;
 the same presses, solved and seen as ``phytac simulate`` does, are beside them. Part ``parts``:
-exported parts of all shipped designs in MuJoCo and OpenUSD. Part ``environments``: grasps in the
-Gymnasium environments. Part ``recordings``: files for Rerun and LeRobot. Part ``ros2``: the stream
-as ROS 2 topics. ::
+exported parts of all shipped designs in MuJoCo, OpenUSD, yourdfpy, PyBullet and libsdformat. Part
+``environments``: grasps in the Gymnasium environments. Part ``recordings``: files for Rerun,
+LeRobot and FTP-1, and what a killed program leaves of each kind. Part ``ros2``: the stream as ROS 2
+topics. ::
 
     python -m benchmarks.connect [--parts mujoco,parts,environments,recordings,ros2] [--quick]
 """

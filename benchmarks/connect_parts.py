@@ -1,12 +1,27 @@
-"""Exported parts of all shipped designs, loaded by MuJoCo and OpenUSD."""
+"""Exported parts of all shipped designs, loaded by the programs of each format.
 
+Their collision pieces are compared with the solid's outer hull.
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import manifold3d
 import mujoco
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 
+from benchmarks.connect_loaders import (
+    Loaded,
+    has_sdformat,
+    in_bullet,
+    in_sdformat,
+    in_yourdfpy,
+    written,
+)
 from benchmarks.harness import Table
+from benchmarks.outer_hull import outer_hull_mm3
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.fabrication.simulators.model_files import mjcf, piece_file, visual_file
 from phytac_design.fabrication.simulators.simulator_part import SimulatorPart, make_part
@@ -14,7 +29,7 @@ from phytac_design.fabrication.simulators.usd_stage import usd
 from phytac_design.fabrication.simulators.xml_values import obj_text
 from phytac_design.fabrication.switch_set import revolved_volume_mm3
 from phytac_design.layout.sensor import Sensor
-from phytac_design.solids.solid_mesh import shell_manifold
+from phytac_design.solids.solid_mesh import hull, shell_manifold
 from phytac_design.workflows.export_simulator import switches_for
 
 RESIN_kg_mm3, RUBBER_kg_mm3 = 1150e-9, 1100e-9
@@ -63,6 +78,53 @@ def exported(table: Table, *, quick: bool) -> None:
             "mm",
             "<= 1e-06",
         )
+        with TemporaryDirectory() as folder:
+            for program, loaded in in_other_programs(part, Path(folder)).items():
+                loaded_rows(
+                    table, f"{name}, {program}: {{}}", loaded, part, weight_kg, body["moments"]
+                )
+        union = manifold3d.Manifold.batch_boolean(
+            [hull(piece.vertices_mm) for piece in part.pieces], manifold3d.OpType.Add
+        )
+        table.goal(
+            f"{name}: union of the collision pieces less the solid's outer hull",
+            100.0 * abs(union.volume() / outer_hull_mm3(sensor) - 1.0),
+            "%",
+            "<= 5.0",
+            source="sections of the wall's solid, or Steiner's formula for a sheet",
+            note=f"{len(part.pieces)} convex pieces",
+        )
+
+
+def in_other_programs(part: SimulatorPart, folder: Path) -> dict[str, Loaded]:
+    """URDF and SDF in the programs that are installed here."""
+    urdf = written(part, folder / "yourdfpy", "urdf", receptors=True)
+    found = {"yourdfpy (URDF)": in_yourdfpy(urdf, len(part.receptors_m))}
+    # As exported by default: without receptors, each of which is a link.
+    found["PyBullet (URDF)"] = in_bullet(written(part, folder / "bullet", "urdf", receptors=False))
+    if has_sdformat():
+        sdf = written(part, folder / "sdf", "sdf", receptors=True)
+        found["libsdformat (SDF)"] = in_sdformat(sdf)
+    return found
+
+
+def loaded_rows(
+    table: Table, case: str, loaded: Loaded, part: SimulatorPart, weight_kg: float, moments: Any
+) -> None:
+    """Rows of a part in a program: what it says, mass, inertia, receptors."""
+    table.goal(
+        case.format("warnings"), len(loaded.said), "", "== 0", note="; ".join(loaded.said[:3])
+    )
+    if loaded.pieces >= 0:
+        missing = len(part.pieces) - loaded.pieces
+        table.goal(case.format("collision pieces that are missing"), missing, "", "== 0")
+    error = 100.0 * abs(loaded.mass_kg / weight_kg - 1.0)
+    table.goal(case.format("mass less volume times density"), error, "%", "<= 0.5")
+    error = 100.0 * float(np.abs(loaded.moments / moments - 1.0).max())
+    table.goal(case.format("inertia less MuJoCo's integral"), error, "%", "<= 1.0")
+    if loaded.receptors_m is not None:
+        error = 1e3 * float(np.abs(loaded.receptors_m - part.receptors_m).max())
+        table.goal(case.format("receptors less the markers"), error, "mm", "<= 1e-06")
 
 
 def in_mujoco(part: SimulatorPart) -> tuple[dict[str, Any], Any, list[str]]:

@@ -1,7 +1,10 @@
 """Parts for simulators: collision pieces, mass, frames and files, and MuJoCo where installed."""
 
+import contextlib
+import importlib.util
 import json
-from collections.abc import Iterator
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -10,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks.outer_hull import outer_hull_mm3
 from phytac_design.fabrication.simulators.convex_pieces import convex_pieces
 from phytac_design.fabrication.simulators.model_files import FORMATS
 from phytac_design.fabrication.simulators.simulator_part import (
@@ -19,8 +23,7 @@ from phytac_design.fabrication.simulators.simulator_part import (
 )
 from phytac_design.fabrication.simulators.xml_values import roll_pitch_yaw
 from phytac_design.layout.sensor import Sensor
-from phytac_design.solids.solid_mesh import box, hull, shell_manifold, to_manifold, to_triangles
-from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_design.solids.solid_mesh import box, hull, shell_manifold, to_triangles
 from phytac_design.workflows import export_simulator as workflow
 from phytac_design.workflows.export_simulator import export_simulator
 from phytac_shapes.errors import DesignError, OutputError
@@ -33,36 +36,6 @@ SHAPES = ("cone", "cuboid", "cylinder40", "grip", "hemisphere", "patch", "plane"
 RESIN_kg_m3, RUBBER_kg_m3 = 1150.0, 1100.0
 LENS = {"model": "brown_conrady", "distortion": (-0.1, 0.02, 1e-3, -2e-3)}
 OFFSET_px = (3.0, -2.0)
-
-
-def outer_hull_mm3(sensor: Sensor) -> float:
-    """Volume that the pieces should fill, by sections of the wall, or by Steiner's formula."""
-    surface, wall = sensor.surface, sensor.design.wall
-    solid = to_manifold(wall_mesh(surface, wall, tolerance_mm=0.02))
-    if surface.periodic[1]:
-        low, high = solid.bounding_box()[2], solid.bounding_box()[5]
-        heights = low + (high - low) * (np.arange(400) + 0.5) / 400
-        # The outer outline of each section, without the cavity.
-        areas = [
-            max(abs(section.area()) for section in _outlines(solid.slice(float(z))))
-            for z in heights
-        ]
-        return float(np.mean(areas) * (high - low))
-
-    def slab(depth: float) -> float:
-        # The area is quadratic in the offset: Simpson's rule is exact.
-        top, middle, low = (surface.area_mm2(-x * depth) for x in (0.0, 0.5, 1.0))
-        return depth * (top + 4.0 * middle + low) / 6.0
-
-    rims = solid.volume() - slab(wall.thickness_mm)
-    return slab(wall.thickness_mm + sensor.markers.height_mm.max()) + rims
-
-
-def _outlines(section: Any) -> Iterator[Any]:
-    import manifold3d
-
-    for polygon in section.to_polygons():
-        yield manifold3d.CrossSection([polygon], manifold3d.FillRule.EvenOdd)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -287,6 +260,29 @@ def test_meshes_are_metres_and_all_files_exist(exported: dict[str, Path]) -> Non
     assert points[:, 2].min() == pytest.approx(0.0, abs=1e-9)
     touch = [item.attrib["site"] for item in mjcf.iter("touch")]
     assert touch == [f"receptor_{k}" for k in range(16)]
+
+
+def test_programs_for_urdf_and_sdf_load_it(exported: dict[str, Path], tmp_path: Path) -> None:
+    loaders = pytest.importorskip("benchmarks.connect_loaders")
+    facts = json.loads((exported["urdf"] / "export.json").read_text())
+    ways = []
+    if importlib.util.find_spec("yourdfpy"):
+        ways.append(("urdf", "tiny.urdf", lambda path: loaders.in_yourdfpy(path, 16)))
+    if importlib.util.find_spec("pybullet"):
+        ways.append(("urdf", "tiny.urdf", loaders.in_bullet))
+    if loaders.has_sdformat():
+        ways.append(("sdf", "model.sdf", loaders.in_sdformat))
+    for to, name, load in ways:
+        found = load(exported[to] / name)
+        assert found.said == []
+        assert found.mass_kg == pytest.approx(facts["mass_kg"], rel=1e-6)
+        assert found.pieces in {facts["collision_pieces"], -1}
+        # A fault is seen, or the program stops.
+        bad = shutil.copytree(exported[to], tmp_path / load.__name__) / name
+        text = bad.read_text().replace("collision_0.obj", "none.obj")
+        bad.write_text(text.replace('attached_to="base"', 'attached_to="none"'))
+        with contextlib.suppress(subprocess.CalledProcessError):
+            assert load(bad).said
 
 
 def test_intrinsics(exported: dict[str, Path]) -> None:
