@@ -1,4 +1,4 @@
-"""Recordings for Rerun and LeRobot: what a frame costs, and that readers find what was written."""
+"""Recordings for Rerun, FTP-1 and LeRobot: what a frame costs, what readers and kills leave."""
 
 import tempfile
 import time
@@ -7,12 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet
+import zarr
 
+from benchmarks.connect_kills import lost_frames
 from benchmarks.decoder_data import small_design
 from benchmarks.harness import Table
+from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.serving.wire_protocol import Message
 from phytac_design.core.lerobot_writer import LeRobotWriter, message_features, message_frame
 from phytac_design.core.rerun_recording import RerunRecorder
+from phytac_design.core.zarr_recording import ZarrRecorder
 from phytac_design.design.accuracy import Preset
 from phytac_design.stages.virtual_sensor_stage import virtual_sensor
 
@@ -47,6 +51,7 @@ def recorded(table: Table, *, quick: bool) -> None:
     ]
     total = np.array([message["total_N"] for message in stream])
     markers = len(bundle.position_mm)
+    kills(table, bundle, stream)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         with RerunRecorder(out / "out.rrd", bundle, 0.0) as recorder:
@@ -59,6 +64,8 @@ def recorded(table: Table, *, quick: bool) -> None:
         ]
         rows(table, "Rerun", cost_ms, (out / "out.rrd").stat().st_size / frames)
         same(table, "Rerun", np.array(found), total)
+        expected = np.array([message["net_force_N"] for message in stream])
+        in_zarr(table, stream, out / "out.zarr", markers, expected)
         begin = time.process_time()
         features = message_features(markers)
         with LeRobotWriter(out / "grasps", fps=30, features=features) as writer:
@@ -77,7 +84,6 @@ def recorded(table: Table, *, quick: bool) -> None:
                 for path in data
             ]
         )
-        expected = np.array([message["net_force_N"] for message in stream])
         same(table, "LeRobot", net, expected)
         episodes = len(LeRobotReader(out / "grasps").episodes())
         table.goal(
@@ -87,6 +93,32 @@ def recorded(table: Table, *, quick: bool) -> None:
             "== 100",
             note=f"of {writer.episodes}",
         )
+
+
+def kills(table: Table, bundle: Bundle, stream: list[Message]) -> None:
+    """Rows: frames that a killed program loses."""
+    with tempfile.TemporaryDirectory() as folder:
+        lost = lost_frames(bundle, stream, Path(folder), seconds=4.5)
+    for kind, count in lost.items():
+        table.goal(
+            f"{kind}: frames that a program loses when it is killed, at 30 Hz",
+            count,
+            "frames",
+            "<= 30",
+            note="SIGKILL 4.5 s after the first frame, all formats in one program",
+        )
+
+
+def in_zarr(
+    table: Table, stream: list[Message], path: Path, markers: int, expected: np.ndarray
+) -> None:
+    """Rows of the layout of FTP-1."""
+    with ZarrRecorder(path, markers) as recorder:
+        cost_ms = per_frame_ms(stream, recorder.add)
+    size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    rows(table, "Zarr", cost_ms, size / len(stream))
+    store = zarr.open_group(path, mode="r")
+    same(table, "Zarr", store["data/right_tactile_data_wrench"][:, 0, :3], expected)
 
 
 def per_frame_ms(stream: list[Message], add: Callable[[Message], None]) -> float:

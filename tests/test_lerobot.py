@@ -57,6 +57,35 @@ def folder(tmp_path: Path) -> Path:
     return out
 
 
+def test_a_killed_program_s_data_set_is_resumed(folder: Path, tmp_path: Path) -> None:
+    out, stream = tmp_path / "resumed", frames(messages(), 10)
+    killed = []
+    for length, task in zip(LENGTHS, ("hold", "squeeze", "hold"), strict=True):
+        features = message_features(30)
+        writer = LeRobotWriter(out, fps=FPS, features=features, resume=True)
+        # In the middle of the episode; half a frame is on the disk.
+        for message in stream[: length - 1]:
+            writer.add(message_frame(message, 30))
+        with (out / f"running-{writer.episodes}.f64").open("ab") as journal:
+            journal.write(b"half")
+        killed.append(writer)
+        with LeRobotWriter(out, fps=FPS, features=features, resume=True) as again:
+            assert again.waiting == length - 1
+            again.add(message_frame(stream[length - 1], 30))
+            again.end_episode(task)
+    whole = {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
+    assert {path.relative_to(out) for path in out.rglob("*") if path.is_file()} == whole
+    for name in whole:
+        if name.suffix == ".parquet":
+            assert parquet.read_table(out / name).equals(parquet.read_table(folder / name)), name
+        else:
+            assert json.loads((out / name).read_text()) == json.loads((folder / name).read_text())
+    with refused("lerobot-resume-invalid"):
+        LeRobotWriter(out, fps=FPS + 1, features=message_features(30), resume=True)
+    for one in killed:
+        one._running.close()
+
+
 def test_the_layout_is_the_published_one(folder: Path) -> None:
     info = json.loads((folder / "meta" / "info.json").read_text())
     assert set(info) == INFO

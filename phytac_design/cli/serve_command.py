@@ -95,7 +95,7 @@ RecordOption = Annotated[
     Path | None,
     typer.Option(
         help="CSV of contacts to write, or ROS 2 messages as NAME.mcap (extra recordings), or a "
-        "recording for Rerun as NAME.rrd (extra rerun)."
+        "recording for Rerun as NAME.rrd (extra rerun), or FTP-1's Zarr as NAME.zarr (extra zarr)."
     ),
 ]
 RecordRegionsOption = Annotated[
@@ -490,6 +490,17 @@ def open_topics(
     return topics
 
 
+def _recorder(path: Path, messages: "MessageBuilder") -> Any:
+    """Recorder of contacts as Zarr, or as CSV, by the file's name."""
+    from phytac_decoder.serving.csv_recording import Recorder
+
+    if path.suffix.lower() != ".zarr":
+        return Recorder(path)
+    from phytac_design.core.zarr_recording import ZarrRecorder
+
+    return ZarrRecorder(path, len(messages.bundle.position_mm))
+
+
 def open_recorders(
     stack: contextlib.ExitStack,
     record: Path | None,
@@ -506,7 +517,8 @@ def open_recorders(
     stack : ExitStack
         Closes them.
     record, record_regions : Path, optional
-        Files; ``record`` ending in .mcap holds ROS 2 messages, in .rrd a recording for Rerun.
+        Files; ``record`` ending in .mcap holds ROS 2 messages, in .rrd a recording for Rerun,
+        in .zarr the layout of FTP-1.
     messages : MessageBuilder
         Of the stream.
     mcap : Path, optional
@@ -521,9 +533,9 @@ def open_recorders(
     OutputError
         If a file cannot be made, or both are one.
     MissingPartError
-        If MCAP or Rerun's files cannot be written here.
+        If MCAP, Rerun's files or Zarr cannot be written here.
     """
-    from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
+    from phytac_decoder.serving.csv_recording import RegionRecorder
 
     names = [region.name for region in messages.regions]
     if record_regions and not names:
@@ -550,7 +562,7 @@ def open_recorders(
             viewer = RerunRecorder(None, messages.bundle, started_s)
             kept[Path("Rerun's viewer")] = stack.enter_context(viewer)
     if record:
-        kept[record] = stack.enter_context(Recorder(record))
+        kept[record] = stack.enter_context(_recorder(record, messages))
     if mcap:
         from phytac_design.core.mcap_recording import McapRecorder
 

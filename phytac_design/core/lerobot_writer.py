@@ -2,11 +2,14 @@
 
 LeRobot itself is not needed: the layout is JSON and Parquet. It is that of ``lerobot.datasets`` of
 LeRobot 0.4, without videos. Each episode is a Parquet file of its own, which the layout allows:
-files are complete when an episode ends.
+files are complete when an episode ends. Frames of the running one are in a file of plain numbers
+until then, of which a killed program loses none: open the folder with ``resume=True``.
 """
 
 import json
+import os
 from collections.abc import Mapping, Sequence
+from io import FileIO
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -60,11 +63,21 @@ class LeRobotWriter:
         Columns by name, such as ``observation.force``, ``action``.
     robot_type : str
         As LeRobot names robots.
+    resume : bool
+        Go on with a folder that is there, in the episode that had not ended.
+
+    Attributes
+    ----------
+    episodes, rows : int
+        What the data set has.
+    waiting : int
+        Frames of the episode that has not ended.
 
     Raises
     ------
     InputError
-        If a feature has a name of LeRobot's own columns, or one with a slash.
+        If a feature has a name of LeRobot's own columns, or one with a slash, or a folder to go on
+        with has other features or another rate.
     MissingPartError
         If pyarrow is not installed.
     OutputError
@@ -72,7 +85,13 @@ class LeRobotWriter:
     """
 
     def __init__(
-        self, folder: Path, *, fps: int, features: Mapping[str, Feature], robot_type: str = "phytac"
+        self,
+        folder: Path,
+        *,
+        fps: int,
+        features: Mapping[str, Feature],
+        robot_type: str = "phytac",
+        resume: bool = False,
     ) -> None:
         self._arrow = parquet_library()
         bad = sorted(name for name in features if name in OWN or "/" in name)
@@ -85,6 +104,7 @@ class LeRobotWriter:
         self._folder, self._features = folder, dict(features)
         self._tasks: list[str] = []
         self._frames: list[Mapping[str, Any]] = []
+        self._running: FileIO | None = None
         self._statistics: dict[str, Statistics] = {}
         self.episodes, self.rows = 0, 0
         self._info: dict[str, Any] = {
@@ -110,7 +130,10 @@ class LeRobotWriter:
             },
         }
         try:
-            folder.mkdir(parents=True)
+            if resume and folder.is_dir():
+                self._go_on()
+            else:
+                folder.mkdir(parents=True)
         except FileExistsError:
             raise OutputError(
                 "output-exists", f"{folder} is there already; choose another name, or remove it"
@@ -118,12 +141,56 @@ class LeRobotWriter:
         except OSError as error:
             raise self._unwritable(error) from None
 
+    @property
+    def waiting(self) -> int:
+        """Frames of the episode that has not ended."""
+        return len(self._frames)
+
+    @property
+    def _journal(self) -> Path:
+        """The running episode's frames, one after the other: numbers of 64 bits."""
+        return self._folder / f"running-{self.episodes}.f64"
+
+    def _go_on(self) -> None:
+        """Take up a data set as it is: its episodes, and frames of the one that had not ended."""
+        info, parquet = self._folder / "meta" / "info.json", self._arrow.parquet
+        if info.is_file():
+            found = json.loads(info.read_text(encoding="utf-8"))
+            own = json.loads(json.dumps(self._info))
+            if any(found[name] != own[name] for name in ("features", "fps")):
+                raise InputError(
+                    "lerobot-resume-invalid",
+                    f"{self._folder} has other features or another rate; choose another name",
+                )
+            self._info = found
+            self.episodes, self.rows = found["total_episodes"], found["total_frames"]
+            tasks = parquet.read_table(self._folder / "meta" / "tasks.parquet")
+            self._tasks = tasks["__index_level_0__"].to_pylist()
+            totals = json.loads((self._folder / "meta" / "stats.json").read_text(encoding="utf-8"))
+            self._statistics = {
+                name: {kind: np.asarray(value) for kind, value in each.items()}
+                for name, each in totals.items()
+            }
+        if self._journal.is_file():
+            ends = np.cumsum([feature.length for feature in self._features.values()])
+            values = np.fromfile(self._journal)
+            rows = values[: len(values) // ends[-1] * ends[-1]].reshape(-1, ends[-1])
+            # Half a frame would shift those after it.
+            os.truncate(self._journal, rows.nbytes)
+            parts = np.split(rows, ends[:-1], axis=1)
+            self._frames = [
+                dict(zip(self._features, row, strict=True)) for row in zip(*parts, strict=True)
+            ]
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_error: object) -> None:
         """Leave out an episode that has not ended."""
         self._frames.clear()
+        if self._running:
+            self._running.close()
+        self._journal.unlink(missing_ok=True)
 
     def add(self, frame: Mapping[str, ArrayLike]) -> None:
         """Add a frame to the episode: a value or an array for each feature.
@@ -145,6 +212,13 @@ class LeRobotWriter:
                 f"{wanted.get(name, 'missing')} in the data set; give each feature in its shape",
             )
         self._frames.append(own)
+        numbers = [np.asarray(own[name], dtype=np.float64) for name in self._features]
+        try:
+            if self._running is None:
+                self._running = self._journal.open("ab", buffering=0)
+            self._running.write(np.concatenate(numbers).tobytes())
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def end_episode(self, task: str) -> None:
         """Write the episode; ``task`` says in words what was to be done.
@@ -193,6 +267,7 @@ class LeRobotWriter:
         for name, own in statistics.items():
             before = self._statistics.get(name)
             self._statistics[name] = merged(before, own) if before else own
+        ended = self._journal
         self.episodes, self.rows = number + 1, self.rows + count
         self._frames.clear()
         self._info |= {
@@ -215,6 +290,10 @@ class LeRobotWriter:
             self._write_json("meta/stats.json", totals)
             # Last: it says how many episodes there are.
             self._write_json("meta/info.json", self._info)
+            if self._running:
+                self._running.close()
+                self._running = None
+            ended.unlink(missing_ok=True)
         except OSError as error:
             raise self._unwritable(error) from None
 
