@@ -122,6 +122,7 @@ PANELS: dict[str, tuple[Callable[..., None], ...]] = {
         simulate_commands.simulate,
         simulate_commands.scenarios,
         import_command.import_,
+        import_command.import_markers,
     ),
     "Explore": (
         study_commands.sweep,

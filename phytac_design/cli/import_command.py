@@ -1,4 +1,4 @@
-"""The command that reads a user's own rig."""
+"""The commands that read a user's own rig, and data of other sensors."""
 
 from pathlib import Path
 from typing import Annotated
@@ -113,3 +113,64 @@ def import_(
         count = int((samples.reason_index == index).sum())
         if count:
             typer.echo(f"  {count} flagged: {reason}")
+
+
+def import_markers(
+    source: Annotated[
+        Path,
+        typer.Argument(help="Zarr (folder, or .zarr.zip) as of FTP-1 and UMI, or an NPZ file."),
+    ],
+    markers: Annotated[
+        str, typer.Option(help="Array of marker displacements or positions, one row per frame.")
+    ],
+    wrench: Annotated[str, typer.Option(help="Array of measured forces, one row per frame.")],
+    pad: Annotated[
+        int, typer.Option(help="Which pad, of arrays of FTP-1 that hold several.", min=0)
+    ] = 0,
+    rest_first: Annotated[
+        bool, typer.Option("--rest-first", help="The first frame of each episode is at rest.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="NPZ file to make of the frames that are used.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Judge estimators that need no model of the sensor on data of any sensor with markers."""
+    import numpy as np
+
+    from phytac_design.training.marker_regression import judge
+    from phytac_design.workflows.marker_data import read_marker_data, write_marker_data
+
+    data, notes = read_marker_data(source, markers, wrench, pad=pad, rest_first=rest_first)
+    found = judge(data)
+    if out:
+        write_marker_data(out, data)
+    for note in notes:
+        say(f"warning: {note}")
+    spread = data.wrench.std(axis=0)
+    if as_json:
+        print_json(
+            {
+                "frames": len(data.wrench),
+                "episodes": len(np.unique(data.episode)),
+                "spread": spread.tolist(),
+                "held_out": {
+                    name: {key: value.tolist() for key, value in vars(one).items()}
+                    for name, one in found.items()
+                },
+                "notes": notes,
+            }
+        )
+        return
+    typer.echo(
+        f"{len(data.wrench)} frames of {len(np.unique(data.episode))} episodes; errors on episodes "
+        "that were not learnt from, in the unit of the data:"
+    )
+    typer.echo("estimator  component  mean error      rms   of spread  intervals of 90 % hold")
+    for name, one in found.items():
+        for part, width in enumerate(spread):
+            typer.echo(
+                f"{name:<9}  {part:9d}  {one.mean_error[part]:10.4g} {one.rms_error[part]:8.4g}  "
+                f"{one.rms_error[part] / width if width else np.nan:10.0%}  "
+                f"{one.covered[part]:20.0%}"
+            )

@@ -95,7 +95,7 @@ RecordOption = Annotated[
     Path | None,
     typer.Option(
         help="CSV of contacts to write, or ROS 2 messages as NAME.mcap (extra recordings), or a "
-        "recording for Rerun as NAME.rrd (extra rerun), or FTP-1's Zarr as NAME.zarr (extra zarr)."
+        "recording for Rerun as NAME.rrd (extra rerun), or FTP-1's Zarr as NAME.zarr."
     ),
 ]
 RecordRegionsOption = Annotated[
@@ -533,7 +533,7 @@ def open_recorders(
     OutputError
         If a file cannot be made, or both are one.
     MissingPartError
-        If MCAP, Rerun's files or Zarr cannot be written here.
+        If MCAP or Rerun's files cannot be written here.
     """
     from phytac_decoder.serving.csv_recording import RegionRecorder
 

@@ -43,6 +43,7 @@ PARSED = {
     "simulate": "minutes; tests/test_simulate.py",
     "tradeoff": "minutes; tests/study",
     "import": "needs a decoder of the rig; tests/simulation/test_rig.py",
+    "import-markers": "needs public data; tests/test_marker_data.py",
 }
 """Commands that are parsed only, why, and where they are tested."""
 FILE = re.compile(r"/|\.[A-Za-z]")
