@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -87,7 +88,7 @@ def test_episodes_are_held_out_whole() -> None:
         assert np.all(found[name].rms_error > 0.9 * force.std(axis=0))
 
 
-@pytest.mark.parametrize("layout", ["npz", "zarr"])
+@pytest.mark.parametrize("layout", ["npz", "zarr", "zip"])
 def test_the_command(layout: str, tmp_path: Path) -> None:
     made = half_space(np.random.default_rng(4), 12)
     if layout == "npz":
@@ -107,6 +108,9 @@ def test_the_command(layout: str, tmp_path: Path) -> None:
             two = np.stack([np.zeros_like(made[key]), made[key]], axis=1)
             data.create_array(name, data=two)
         meta.create_array("episode_ends", data=made["episode_ends"])
+        if layout == "zip":
+            shutil.make_archive(str(source), "zip", root_dir=tmp_path, base_dir=source.name)
+            source = tmp_path / "task.zarr.zip"
     words = ("import-markers", str(source), "--markers", names[0], "--wrench", names[1])
     words += ("--pad", "1", "--out", str(tmp_path / "again.npz"))
     done = phytac(*words, "--json")

@@ -75,6 +75,34 @@ def test_a_recording_is_resumed_without_rows_of_no_episode(tmp_path: Path) -> No
         ZarrRecorder(path, 31, resume=True)
 
 
+def test_a_full_disk_leaves_whole_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, made = tmp_path / "out.zarr", [frames(messages(), 2)[0]] * 3
+    write, calls = zarr_recording._write, list[Path]()
+
+    def until_full(where: Path, data: bytes) -> None:
+        calls.append(where)
+        if len(calls) == 9:  # between arrays
+            raise OSError(28, "No space left on device")
+        write(where, data)
+
+    with ZarrRecorder(path, 30) as recorder:
+        recorder.add(made[0])
+        recorder.flush()
+        monkeypatch.setattr(zarr_recording, "_write", until_full)
+        recorder.add(made[1])
+        with refused("output-not-writable"):
+            recorder.flush()
+        recorder.add(made[2])
+    # Nothing was written after the failure.
+    assert len(calls) == 9
+    monkeypatch.undo()
+    with ZarrRecorder(path, 30, resume=True) as recorder:
+        recorder.add(made[2])
+    store = zarr.open_group(path, mode="r")
+    assert store["meta/episode_ends"][:].tolist() == [1, 2]
+    assert {array.shape[0] for _, array in store["data"].arrays()} == {2}
+
+
 def test_the_command(tmp_path: Path) -> None:
     toy_recording(tmp_path, [{}, {7: 3.0}])
     words = ("serve", "decoder", "frames", "--rest-first", "1", "--port", "0", "--every")

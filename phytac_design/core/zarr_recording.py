@@ -153,6 +153,7 @@ class ZarrRecorder:
         self._path, self._markers, self._task = path, markers, task[:WORDS]
         self._side, self._area = side, area
         self._waiting: list[Mapping[str, Any]] = []
+        self._broken = False
         self._written_s, self.rows = time.monotonic(), 0
         if path.exists() and not resume:
             raise OutputError(
@@ -222,7 +223,7 @@ class ZarrRecorder:
     def flush(self) -> None:
         """Write what waits; the episode's end comes last, so that it never counts too much."""
         self._written_s = time.monotonic()
-        if not self._waiting:
+        if not self._waiting or self._broken:
             return
         count = self._count + len(self._waiting)
         try:
@@ -233,6 +234,8 @@ class ZarrRecorder:
             self._ends[-1] = count
             self._end_array.rewrite(np.array(self._ends, dtype=np.int64))
         except OSError as error:
+            # Some arrays have these rows, and others not: nothing more may follow.
+            self._broken = True
             raise self._unwritable(error) from None
         self._count = count
         self._waiting.clear()

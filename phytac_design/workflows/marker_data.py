@@ -130,10 +130,10 @@ def _zarr(source: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Any], Any]:
     """Arrays by name, those that are wanted as numbers, and ends of episodes."""
     library = _zarr_library()
     try:
-        store = source
+        store, inside = source, ""
         if source.is_file():
-            store = library.storage.ZipStore(source, mode="r")
-        root = library.open_group(store, mode="r")
+            store, inside = library.storage.ZipStore(source, mode="r"), _root_in_zip(source)
+        root = library.open_group(store, mode="r", path=inside)
         # The group below `data` may have no file of its own.
         found: dict[str, Any] = {}
         for name in wanted:
@@ -148,6 +148,13 @@ def _zarr(source: Path, wanted: tuple[str, ...]) -> tuple[dict[str, Any], Any]:
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise InputError("file-unreadable", f"no Zarr at {source} ({error})") from None
     return found, ends
+
+
+def _root_in_zip(source: Path) -> str:
+    """Folder of the group in a zipped Zarr: its root, or its only folder by custom."""
+    tail = "meta/episode_ends/.zarray"
+    with zipfile.ZipFile(source) as file:
+        return next((n[: -len(tail)].strip("/") for n in file.namelist() if n.endswith(tail)), "")
 
 
 def _npz(source: Path) -> tuple[dict[str, Any], Any]:
