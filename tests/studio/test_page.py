@@ -268,6 +268,39 @@ def test_a_build_shows_its_report_shut_off(
     assert page.locator("#report iframe").count() == 0
 
 
+def test_a_design_is_shared_by_its_address(
+    browser: "playwright.Browser", seen: Seen, folder: Path
+) -> None:
+    page, count = seen.page, seen.drafts()
+    page.get_by_label("description", exact=True).fill("für alle")
+    page.get_by_label("spiral angle (°)", exact=True).fill("21")
+    seen.drawn(count)
+    page.get_by_role("button", name="Share…").click()
+    text = page.get_by_label("This text is the design").input_value()
+    page.get_by_role("button", name="Close").click()
+    assert text.startswith("#design=")
+    with studio(folder) as other:
+        visit = browser.new_page()
+        visited = Seen(visit, other.url)
+        visit.goto(other.url + text)
+        visited.drawn(0)
+        assert visit.get_by_label("spiral angle (°)", exact=True).input_value() == "21"
+        assert visit.get_by_label("description", exact=True).input_value() == "für alle"
+        assert "not saved" in visit.locator("#where").inner_text()
+        assert "#design" not in visit.url
+        # Pasted under Open, whole or damaged.
+        visit.get_by_role("button", name="Open…").click()
+        visit.get_by_label("or the text of a shared one").fill(text[:60])
+        visit.get_by_role("button", name="Open", exact=True).click()
+        assert "holds no whole design" in visited.text_of("#open-error")
+        visit.get_by_label("or the text of a shared one").fill(text)
+        visit.get_by_role("button", name="Open", exact=True).click()
+        visit.locator("#open-dialog").wait_for(state="hidden")
+        visit.close()
+    page.get_by_role("button", name="Undo").click()
+    page.get_by_role("button", name="Undo").click()
+
+
 def test_a_designs_text_is_no_markup(seen: Seen) -> None:
     page = seen.page
     text = "<img src=x onerror=window.hit=1>`<b>`"

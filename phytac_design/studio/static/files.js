@@ -1,5 +1,6 @@
 // Opening and saving design files.
 import { by, node, post } from "./api.js";
+import { addressPart, sharedDesign } from "./share.js";
 
 export class Files {
   constructor(model, start) {
@@ -8,6 +9,11 @@ export class Files {
     by("open-button").addEventListener("click", () => this.ask());
     by("open-go").addEventListener("click", () => this.open());
     by("save-button").addEventListener("click", () => this.saving());
+    by("share-button").addEventListener("click", () => this.share());
+    by("share-copy").addEventListener("click", () => {
+      by("share-text").select();
+      navigator.clipboard.writeText(by("share-text").value);
+    });
     by("save-go").addEventListener("click", () => this.save(false));
     by("save-over").addEventListener("click", () => this.save(true));
     by("save-dialog").querySelector("form").addEventListener("keydown", event => {
@@ -20,7 +26,7 @@ export class Files {
   ask() {
     const group = (label, names) => node("optgroup", { label },
       ...names.map(name => node("option", { value: name }, name)));
-    by("open-error").textContent = "";
+    by("open-error").textContent = by("open-shared").value = "";
     by("open-name").replaceChildren(...[
       this.files.length && group("in this folder", this.files),
       group("shipped", this.shipped)].filter(Boolean));
@@ -28,12 +34,28 @@ export class Files {
   }
 
   async open() {
+    const text = by("open-shared").value.trim();
     try {
-      this.model.open(await post("api/open", { name: by("open-name").value }), true);
+      if (text) this.openShared(text);
+      else this.model.open(await post("api/open", { name: by("open-name").value }), true);
       by("open-dialog").close();
     } catch (error) {
       by("open-error").textContent = error.message;
     }
+  }
+
+  share() {
+    by("share-text").value = addressPart(this.model.now.data);
+    by("share-dialog").showModal();
+  }
+
+  // It belongs to no file: it counts as not saved.
+  openShared(text) {
+    const data = sharedDesign(text);
+    if (!data) throw new Error("a shared design starts with #design=");
+    this.model.open({ name: "", data }, true);
+    this.model.saved = "{}";
+    this.model.notify("all");
   }
 
   async saving() {

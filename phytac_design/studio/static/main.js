@@ -42,6 +42,17 @@ async function begin() {
   window.addEventListener("beforeunload", event => { if (model.dirty) event.preventDefault(); });
   const build = new Build(model, start.accuracies, start.build), studies = new Studies(model);
   model.open(start.design, false);
+  const openAddress = () => {
+    if (!location.hash.startsWith("#design=")) return;
+    try {
+      files.openShared(location.hash);
+    } catch (error) {
+      by("where").textContent = error.message;
+    }
+    history.replaceState(null, "", location.pathname);
+  };
+  window.addEventListener("hashchange", openAddress);
+  openAddress();
   window.studio = { model, live, views, build, studies };
 }
 
