@@ -151,7 +151,7 @@ def _verdict(relative: dict[str, float | None], contacts: int) -> str:
         few = f"; {contacts} contacts are few, {contacts_min} or more give a figure to rely on"
     return (
         f"best estimator: {best}, relative error {100.0 * known[best]:.2f} % (the published "
-        f"sensor has 2.3 %){few}"
+        f"sensor has 2.3 %) on these data; a build evaluates its own contacts{few}"
     )
 
 

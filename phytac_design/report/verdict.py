@@ -250,8 +250,9 @@ def decoded(report: Mapping[str, Any]) -> str:
         return "No simulated contact tripped a switch, so none could be decoded"
     return (
         f"Simulated contacts are decoded with a relative error of {percent(points)} and an "
-        f"absolute error of {points['mae_N']:.2f} N (means of {points['samples']} held-out ones), "
-        f"in rendered frames of {percent(frames)} ({frames['samples']}), by the estimator {best}"
+        f"absolute error of {points['mae_N']:.2f} N (means of {points['samples']} held-out ones "
+        f"in linear theory), in rendered frames of {percent(frames)} ({frames['samples']}), by the "
+        f"estimator {best}"
     )
 
 
