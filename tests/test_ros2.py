@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import runpy
 import socket
 import subprocess
 import sys
@@ -11,12 +12,30 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
+from xml.etree import ElementTree as ET
 
 import pytest
+import yaml
 
-from phytac_design.core.ros2_messages import DEFINITIONS, camera_messages, frame_messages
-from phytac_design.core.ros2_topics import QUEUE, TYPE_HASHES, Ros2Topics, domain_id, local_only
+from phytac_design.core.ros2_messages import (
+    DEFINITIONS,
+    SENSOR_FRAME,
+    camera_messages,
+    frame_messages,
+)
+from phytac_design.core.ros2_topics import (
+    LOCAL,
+    QUEUE,
+    TOPIC_TYPES,
+    TYPE_HASHES,
+    Ros2Topics,
+    domain_id,
+    local_only,
+)
 from tests.decoder.toy_sensor import toy_recording
+from tests.docs.pages import ROOT, blocks
+from tests.docs.parser import fault
 from tests.refusals import refused
 from tests.test_cli import PHYTAC, phytac
 from tests.test_mcap import START_s, frames, messages
@@ -167,3 +186,57 @@ def test_environment_and_missing_library(
     done = phytac("serve", "decoder", "frames", "--port", "0", "--ros2", cwd=tmp_path)
     assert done.returncode != 0
     assert "phytac-design[ros2]" in done.stderr
+
+
+def test_the_guide_receives_wrenches(domain: str, tmp_path: Path) -> None:
+    (code,) = blocks(ROOT / "docs" / "guides" / "ros2.md", "python")
+    code = code.replace("DomainParticipant(0)", f"DomainParticipant({domain})").replace("5_", "1_")
+    make = messages()
+    environment = {**os.environ, "CYCLONEDDS_URI": LOCAL}
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "text": True, "env": environment}
+    with (
+        Ros2Topics(make) as topics,
+        subprocess.Popen([sys.executable, "-uc", code], **pipes) as other,
+    ):
+        end_s, sent = time.monotonic() + 3.0, frames(make, 2)[0]
+        while (
+            time.monotonic() < end_s and not topics._writers["wrench"].get_matched_subscriptions()
+        ):
+            time.sleep(0.02)
+        time.sleep(0.1)
+        topics.add(sent)
+        printed, _ = other.communicate(timeout=PATIENCE_S)
+    assert printed == "1700000000 -4.5\n"
+
+
+def test_the_package_starts_this_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its launch file with stand-ins for ROS's modules, which are not installed here."""
+    folder, made = ROOT / "examples" / "ros2" / "phytac_ros2", MagicMock()
+    made.LaunchConfiguration.side_effect = lambda name: name.upper()
+    for name in ("ament_index_python.packages", "launch", "launch.actions", "launch.conditions",
+                 "launch.substitutions", "launch_ros.actions"):  # fmt: skip
+        monkeypatch.setitem(sys.modules, name, made)
+    made.get_package_share_directory.return_value = str(folder)
+    launch = folder / "launch" / "sensor.launch.py"
+    runpy.run_path(str(launch))["generate_launch_description"]()
+    command = made.ExecuteProcess.call_args.kwargs["cmd"]
+    assert command[:4] == ["PHYTAC", "serve", "BUNDLE", "SOURCE"]
+    assert fault(("phytac", *command[1:])) == ""
+    mount, rviz = (call.kwargs for call in made.Node.call_args_list)
+    frame = SENSOR_FRAME
+    assert mount["arguments"] == ["--frame-id", "PARENT", "--child-frame-id", frame]
+    shown = yaml.safe_load(Path(rviz["arguments"][1]).read_text())["Visualization Manager"]
+    assert shown["Global Options"]["Fixed Frame"] == frame
+    kinds = {one["Class"].rpartition("/")[2]: one["Topic"]["Value"].removeprefix("/phytac/")
+             for one in shown["Displays"] if "Topic" in one}  # fmt: skip
+    assert kinds == {"MarkerArray": "markers", "Wrench": "wrench"}
+    assert set(kinds.values()) < set(TOPIC_TYPES)
+    package = ET.parse(folder / "package.xml").getroot()  # noqa: S314 - our own
+    assert package.findtext("name") == folder.name
+    made.setup.reset_mock()
+    monkeypatch.setattr("setuptools.setup", made.setup)
+    monkeypatch.chdir(folder)
+    runpy.run_path("setup.py")
+    files = [Path(file) for _, some in made.setup.call_args.kwargs["data_files"] for file in some]
+    assert all(file.is_file() for file in files)
+    assert {launch.relative_to(folder), Path("package.xml")} < set(files)

@@ -1,0 +1,1 @@
+"""Nothing to import: the sensor publishes by `phytac serve --ros2`."""
