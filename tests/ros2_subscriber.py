@@ -253,6 +253,13 @@ RELIABLE = Qos(
 BEST_EFFORT = Qos(Policy.Reliability.BestEffort, Policy.History.KeepAll)
 
 
+def heard(reader: DataReader) -> bool:
+    """Whether a publisher is there, by the name of the type alone, as ROS has it."""
+    own = reader.topic.get_type_name()
+    there = map(reader.get_matched_publication_data, reader.get_matched_publications())
+    return own in [one.type_name for one in there if one]
+
+
 def count(reader: DataReader) -> None:
     """Contacts of each time stamp, and when the last came, until standard input says something."""
     found = {}
@@ -278,8 +285,10 @@ def main(domain: int, topics: list[str], *, counting: bool = False) -> None:
         )
     ask = DataWriter(here, Topic(here, "rq/phytac/tareRequest", TriggerRequest), qos=RELIABLE)
     replies = DataReader(here, Topic(here, "rr/phytac/tareReply", TriggerResponse), qos=RELIABLE)
-    ends = [one.get_matched_publications for one in (*readers.values(), replies)]
-    while not all(end() for end in (*ends, ask.get_matched_subscriptions)):
+    end_s = time.monotonic() + 20.0
+    while not (all(map(heard, [*readers.values(), replies])) and ask.get_matched_subscriptions()):
+        if time.monotonic() > end_s:
+            sys.exit("a topic has no publisher")
         time.sleep(0.02)
     print("ready", flush=True)
     if counting:
