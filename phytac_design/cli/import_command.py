@@ -131,7 +131,8 @@ def import_markers(
         bool, typer.Option("--rest-first", help="The first frame of each episode is at rest.")
     ] = False,
     out: Annotated[
-        Path | None, typer.Option(help="NPZ file to make of the frames that are used.")
+        Path | None,
+        typer.Option(callback=check_out, help="NPZ file to make of the frames that are used."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

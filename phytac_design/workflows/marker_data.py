@@ -108,6 +108,7 @@ def write_marker_data(path: Path, data: MarkerData) -> None:
     """
     ends = np.flatnonzero(np.diff(data.episode, append=data.episode[-1] + 1)) + 1
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("xb") as file:
             np.savez_compressed(
                 file, displacement=data.displacement, wrench=data.wrench, episode_ends=ends
