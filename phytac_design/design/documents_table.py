@@ -5,6 +5,7 @@ from typing import Literal, Self
 from pydantic import model_validator
 
 from phytac_design.design.base_table import Section, assumed
+from phytac_design.design.safe_rounding import at_least
 
 
 class BenchSection(Section):
@@ -70,7 +71,8 @@ class KitSection(Section):
         if corner <= reach:
             raise ValueError(
                 f"the rig's screws lie under the load cell ({corner:.1f} mm from its axis, need "
-                f"{reach:.1f}); raise rig_bolt_square_mm"
+                f"more than {at_least(reach)}); raise rig_bolt_square_mm above "
+                f"{at_least(reach * 2.0**0.5)}"
             )
         return self
 

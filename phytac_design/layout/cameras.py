@@ -8,6 +8,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera import Camera, fit_distance_mm
 from phytac_decoder.camera.lens import Lens, Pinhole
+from phytac_design.design.safe_rounding import at_least
 from phytac_design.design.spec import Design
 from phytac_design.geometry.boundary_loops import conormals
 from phytac_design.geometry.envelope import bar_span_mm, edge_mm, open_far
@@ -118,7 +119,7 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
     stand_off = fit(section.fill) if given == "fit" else float(given)
     z = start - sign * stand_off
     camera = Camera.at(lens, z_mm=z, backward=end == 1)
-    fix = f'set camera.stand_off_mm = "fit" ({fit(section.fill):.2f} mm here)'
+    fix = f'set camera.stand_off_mm = "fit" ({at_least(fit(section.fill))} mm here)'
     side = "near" if end == 0 else "far"
     plane = float((sign * rim[:, 2]).min() * sign)
     if sign * z >= sign * plane:
@@ -136,11 +137,11 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
             "camera-inside-light-bar",
             f"the camera stands inside the light bar: the bar starts at z = "
             f"{far if end else near:.2f} mm, the camera's centre is at z = {z:.2f} mm; raise "
-            f"light.bar_start_mm above {-stand_off:.2f}",
+            f"light.bar_start_mm above {at_least(-stand_off)}",
         )
     where = f"stand-off {stand_off:.2f} mm, focal length {camera.focal_px:g} px"
     if not camera.sees(rim).all():
-        fix_rim = f"move it back to at least {fit(1.0):.2f} mm or {fix}"
+        fix_rim = f"move it back to at least {at_least(fit(1.0))} mm or {fix}"
         _raise_rim_hidden(camera, rim, side, where, fix_rim)
     return camera
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phytac_design.design.safe_rounding import at_least
 from phytac_design.design.spec import Design
 from phytac_design.geometry.boundary_loops import Loop, chart_loops
 from phytac_design.geometry.triangles import TriangleMesh
@@ -86,7 +87,7 @@ def place_reference_marks(design: Design, surface: Surface) -> PlacedMarks:
     if table.count and table.reach_mm > design.wall.rim_length_mm:
         raise DesignError(
             "reference-marks-rim",
-            f"the rim is too short for reference marks: they need {table.reach_mm:.2f} mm (got "
+            f"the rim is too short for reference marks: they need {at_least(table.reach_mm)} mm (got "
             f"wall.rim_length_mm = {design.wall.rim_length_mm:g}); raise it, or lower "
             "reference_marks.diameter_mm or gap_mm",
         )

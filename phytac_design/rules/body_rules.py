@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from phytac_design.design.safe_rounding import at_least
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh
 from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
@@ -190,8 +191,9 @@ def _check_tubes(design: Design, markers: Markers, centre: FloatArray, place: st
 
 
 def _mm(length: float) -> str:
-    """Length for a message, to a hundredth of a millimetre or three digits."""
-    return f"{length:.2f} mm" if length >= 1.0 else f"{length:.2g} mm"
+    """Length for a message, rounded up: users move things by more than that."""
+    rounded = at_least(round(length, 6), 3 if length >= 1.0 else 2)
+    return f"{float(rounded):.2f} mm" if 1.0 <= length < 10.0 else f"{rounded} mm"
 
 
 def _at(place: FloatArray) -> str:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from phytac_design.design.safe_rounding import at_most
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_span_mm
 from phytac_design.layout import make_markers, profile_heights_mm, with_heights
@@ -24,7 +25,7 @@ def check_wall(design: Design, surface: Surface) -> None:
         refuse(
             "wall-too-thick",
             f"the wall is thicker than the {surface.name} allows (thickness {thickness:g} mm ≥ "
-            f"{limit} {reach:g} mm); lower wall.thickness_mm below {reach:g}{more}",
+            f"{limit} {reach:g} mm); lower wall.thickness_mm below {at_most(reach)}{more}",
         )
 
 

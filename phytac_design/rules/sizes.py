@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from phytac_design.design.safe_rounding import at_least, at_most
 from phytac_design.design.spec import Design
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
@@ -28,7 +29,7 @@ def check_wall_size(design: Design) -> None:
         refuse(
             "wall-too-thin",
             f"the wall is too thin to print ({thickness:g} mm < {least:g} mm); raise "
-            f"wall.thickness_mm to {least:g}",
+            f"wall.thickness_mm to {at_least(least)}",
         )
 
 
@@ -46,14 +47,15 @@ def check_receptor_sizes(design: Design) -> None:
                 "tube-wall-too-thin",
                 f"the receptors' posts are too thin to print ({outer:g} mm < "
                 f"{rules.wall_min_mm:g} mm); raise receptor.diameter_outer_mm to "
-                f"{rules.wall_min_mm:g}",
+                f"{at_least(rules.wall_min_mm)}",
             )
         return
     if hole < rules.hole_min_mm - SLACK_mm:
         refuse(
             "hole-too-small",
             f"the receptors' holes would close in printing ({hole:g} mm < "
-            f"{rules.hole_min_mm:g} mm); raise receptor.diameter_hole_mm to {rules.hole_min_mm:g}",
+            f"{rules.hole_min_mm:g} mm); raise receptor.diameter_hole_mm to "
+            f"{at_least(rules.hole_min_mm)}",
         )
     if hole >= outer:
         refuse(
@@ -67,14 +69,14 @@ def check_receptor_sizes(design: Design) -> None:
             "tube-wall-too-thin",
             f"the receptors' tube walls are too thin to print ({side:.2f} mm < "
             f"{rules.wall_min_mm:g} mm); raise receptor.diameter_outer_mm to "
-            f"{hole + 2.0 * rules.wall_min_mm:g} or lower receptor.diameter_hole_mm",
+            f"{at_least(hole + 2.0 * rules.wall_min_mm)} or lower receptor.diameter_hole_mm",
         )
     if hole - tip < rules.gap_min_mm - SLACK_mm:
         refuse(
             "tip-clearance-too-small",
             f"the switch's tip does not pass the receptor's hole (tip {tip:g} mm in a hole of "
             f"{hole:g} mm leaves {hole - tip:.2f} mm < {rules.gap_min_mm:g} mm); lower "
-            f"switch.tip_diameter_mm to {hole - rules.gap_min_mm:g} or raise "
+            f"switch.tip_diameter_mm to {at_most(hole - rules.gap_min_mm)} or raise "
             "receptor.diameter_hole_mm",
         )
 
@@ -95,14 +97,14 @@ def check_switch_sizes(design: Design) -> None:
             "stroke-below-recess",
             f"the red tip never comes out (stroke {switch.stroke_mm:g} mm ≤ recess "
             f"{switch.tip_recess_mm:g} mm); raise switch.stroke_mm above "
-            f"{switch.tip_recess_mm:g}",
+            f"{at_least(switch.tip_recess_mm)}",
         )
     if switch.footprint_diameter_mm <= hole:
         refuse(
             "footprint-below-hole",
             f"the switch's bowl does not cover the hole (footprint "
             f"{switch.footprint_diameter_mm:g} mm ≤ hole {hole:g} mm); raise "
-            f"switch.footprint_diameter_mm above {hole:g}",
+            f"switch.footprint_diameter_mm above {at_least(hole)}",
         )
 
 
@@ -115,7 +117,7 @@ def check_training(sensor: Sensor) -> None:
         refuse(
             "patch-exceeds-sensor",
             f"contact patches are larger than the sensor (radius {training.patch_radius_max_mm:g} "
-            f"mm > {size:g} mm); lower training.patch_radius_max_mm",
+            f"mm > {size:g} mm); lower training.patch_radius_max_mm to {at_most(size)}",
         )
     share = min(1.0, switch.footprint_diameter_mm / (2.0 * training.patch_radius_min_mm)) ** 2
     most = share * training.force_max_N
@@ -125,7 +127,7 @@ def check_training(sensor: Sensor) -> None:
             "threshold-unreachable",
             f"no contact can trip a switch: the strongest one ({training.force_max_N:g} N) puts "
             f"{most:.3g} N on a switch's footprint, its threshold is {threshold:g} N; "
-            f"lower switch.threshold_N below {most:.3g} or raise training.force_max_N",
+            f"lower switch.threshold_N below {at_most(most, 3)} or raise training.force_max_N",
         )
 
 

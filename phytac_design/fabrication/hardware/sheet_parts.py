@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phytac_design.design.safe_rounding import at_least
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.fabrication.hardware.camera_unit import camera_unit, check_cavity
 from phytac_design.fabrication.hardware.parts import HardwareAssembly, HardwarePart
@@ -91,7 +92,7 @@ def base_and_frame(
         raise DesignError(
             "rim-too-short",
             f"a rim of {length:g} mm gives base and frame no hold: here they need "
-            f"{shelf + clearance + shelf_mm:.1f} mm; raise wall.rim_length_mm",
+            f"{at_least(shelf + clearance + shelf_mm)} mm; raise wall.rim_length_mm",
         )
     unit = camera_unit(design, camera_mm, low, label="", mount="base", ring=ring)
     screw = SCREWS[hardware.screw_clamp]
