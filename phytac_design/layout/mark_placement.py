@@ -87,8 +87,8 @@ def place_reference_marks(design: Design, surface: Surface) -> PlacedMarks:
     if table.count and table.reach_mm > design.wall.rim_length_mm:
         raise DesignError(
             "reference-marks-rim",
-            f"the rim is too short for reference marks: they need {at_least(table.reach_mm)} mm (got "
-            f"wall.rim_length_mm = {design.wall.rim_length_mm:g}); raise it, or lower "
+            "the rim is too short for reference marks: they need "
+            f"{at_least(table.reach_mm)} mm (got wall.rim_length_mm = {design.wall.rim_length_mm:g}); raise it, or lower "
             "reference_marks.diameter_mm or gap_mm",
         )
     return _placed(design, surface, 0.0)
