@@ -122,6 +122,10 @@ def test_files_that_are_not_designs(tmp_path: Path) -> None:
     path.write_text("name = [unclosed")
     with refused("toml-syntax"):
         load_design(str(path))
+    path.write_text('name = "x"\n[camera]\nstand_off_mm = fit\n')
+    with refused("toml-syntax") as unquoted:
+        load_design(str(path))
+    unquoted.match("'stand_off_mm = fit'")
     path.write_bytes(b"\xff\xfe\x00binary")
     with refused("toml-syntax"):
         load_design(str(path))

@@ -81,7 +81,7 @@ class TomlFileKind:
         try:
             return toml_table(text)
         except ValueError as error:
-            raise self._not_toml(where, str(error)) from None
+            raise self._not_toml(where, f"{error}{_line_of(text, str(error))}") from None
 
     def _not_toml(self, where: str, why: str) -> DesignError:
         start = self.template or f"start from a shipped {self.noun} ({', '.join(self.shipped())})"
@@ -134,6 +134,14 @@ class TomlFileKind:
         message = item["msg"][0].lower() + item["msg"][1:]
         shown = "" if isinstance(got, dict | BaseModel) else f" (got {_literal(got)})"
         return f"{where or self.noun}: {message.removeprefix('value error, ')}{shown}"
+
+
+def _line_of(text: str, why: str) -> str:
+    """Text of the line that an error of the TOML reader names, for a message; "" for none."""
+    place, lines = re.search(r"at line (\d+)", why), text.splitlines()
+    if not place or not 0 < int(place[1]) <= len(lines):
+        return ""
+    return f": {_literal(lines[int(place[1]) - 1].strip())}"
 
 
 def table_models(annotation: Any) -> list[type[BaseModel]]:

@@ -273,10 +273,15 @@ def _words(design: Design, fields: Fields) -> str:
     return ", ".join(
         f"{name} {now[name]:.5g} → {new:.5g}"
         if isinstance(new, int | float) and not isinstance(now[name], str)
-        else f"{name} {now[name]} → {new}"
+        else f"{name} {_typed(now[name])} → {_typed(new)}"
         for name, new in fields.items()
         if isinstance(new, int | float | str)
     )
+
+
+def _typed(value: Any) -> str:
+    """Value as a user types it into a design file."""
+    return f'"{value}"' if isinstance(value, str) else f"{value}"
 
 
 def _other_cameras(design: Design) -> Iterator[dict[str, Any]]:
