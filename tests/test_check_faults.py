@@ -146,6 +146,7 @@ def test_a_broken_rule_is_repaired_as_well() -> None:
     found = quick_repair(small(camera={**COARSE, "stand_off_mm": 3.0}))
     assert found is not None
     assert found.fields == {"camera.stand_off_mm": "fit"}
+    assert found.words == 'camera.stand_off_mm 3.0 → "fit"'
     rows = quick_repair(small(layout={"rows": 14}, camera=COARSE))
     assert rows is not None
     assert set(rows.fields) == {"layout.rows"}
@@ -232,7 +233,8 @@ def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
     assert [one["code"] for one in facts["faults"]] == ["wall-too-thin", "rim-outside-view"]
     assert facts["clear"] is False
     assert out.stderr.count("error[") == 2
-    assert "warning: wall.thickness_mm = 0.08 looks like cm" in out.stderr
+    hint = out.stderr.index("warning: wall.thickness_mm = 0.08 looks like cm")
+    assert hint < out.stderr.index("error["), "the likely cause comes first"
 
 
 def test_no_repair_is_looked_for_without_end_or_for_a_wrong_unit(

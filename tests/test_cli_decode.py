@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.io import bundle as bundle_module
 from phytac_decoder.io.bundle import save_bundle
+from phytac_decoder.pipeline.decode import FrameMeasurement
 from phytac_decoder.serving.sensor_loop import Progress
 from phytac_design.cli import decode_command
 from phytac_design.cli.decode_command import FramePrinter, _true_interval, decode
@@ -82,6 +83,12 @@ def test_a_changed_stiffness_reaches_the_decoder(
     words = [toy / "decoder", toy / "frames" / "frame_2.png", "--stiffness-change", "7"]
     run(*words, *(["--csv", tmp_path / "out.csv"] if csv_file else []))
     assert given[0]["stiffness_change"] == pytest.approx(0.07)
+
+
+def test_a_doubtful_frame_ends_with_its_reason(toy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FrameMeasurement, "warnings", lambda *a, **k: ["20 of 41 switches"])
+    out, _ = run(toy / "decoder", toy / "frames" / "frame_2.png", "--estimator", "koi_inverse")
+    assert "the frame is doubtful: 20 of 41 switches" in out
 
 
 def test_one_image_is_printed_in_full(toy: Path) -> None:

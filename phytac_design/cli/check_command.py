@@ -82,10 +82,11 @@ def _print_faults(design: "Design", first: DesignError, *, as_json: bool) -> Non
     if as_json:
         each = [_fault_facts(fault) for fault in faults]
         print_json({"design": design.name, "clear": False, "faults": each, "warnings": hints})
-    for fault in faults:
-        say(f"error[{fault.code}]: {fault}")
+    # Another unit is the likely cause of the faults.
     for hint in hints:
         say(f"warning: {hint}")
+    for fault in faults:
+        say(f"error[{fault.code}]: {fault}")
 
 
 def _print_check(report: dict[str, Any]) -> None:

@@ -236,11 +236,9 @@ def _decode_frame(
     for name, force in region_N.items():
         typer.echo(f"  region {name}  {force:.2f} N")
     _print_sums(reading, total_N, truth_N, net)
-    doubts = len(reading.warnings)
-    typer.echo(
-        f"the frame is {'doubtful, see the warnings' if doubts else 'good'}: "
-        f"{measured.found.mean():.0%} of the markers found (needs {FOUND_WELL:.0%})"
-    )
+    good = f"{measured.found.mean():.0%} of the markers found (needs {FOUND_WELL:.0%})"
+    verdict = f"doubtful: {reading.warnings[0]}" if reading.warnings else f"good: {good}"
+    typer.echo(f"the frame is {verdict}")
     next_step(f"phytac live {folder} 0 shows forces of a camera" if rest else GIVE_REST)
 
 
