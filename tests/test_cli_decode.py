@@ -86,7 +86,7 @@ def test_a_changed_stiffness_reaches_the_decoder(
 
 
 def test_a_doubtful_frame_ends_with_its_reason(toy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(FrameMeasurement, "warnings", lambda *a, **k: ["20 of 41 switches"])
+    monkeypatch.setattr(FrameMeasurement, "warnings", lambda *_, **__: ["20 of 41 switches"])
     out, _ = run(toy / "decoder", toy / "frames" / "frame_2.png", "--estimator", "koi_inverse")
     assert "the frame is doubtful: 20 of 41 switches" in out
 

@@ -163,7 +163,7 @@ def _decode_frame(
     from phytac_decoder.io.bundle import load_bundle
     from phytac_decoder.io.recorded_frames import read_image
     from phytac_decoder.pipeline.colour_calibration import calibrate_rest
-    from phytac_decoder.pipeline.decode import FOUND_WELL, measure_frame
+    from phytac_decoder.pipeline.decode import measure_frame
     from phytac_decoder.pipeline.frame_reading import marker_loads, read
     from phytac_decoder.pipeline.rest_frames import pressed_note
     from phytac_decoder.serving.sensor_loop import check_estimator
@@ -236,10 +236,17 @@ def _decode_frame(
     for name, force in region_N.items():
         typer.echo(f"  region {name}  {force:.2f} N")
     _print_sums(reading, total_N, truth_N, net)
-    good = f"{measured.found.mean():.0%} of the markers found (needs {FOUND_WELL:.0%})"
-    verdict = f"doubtful: {reading.warnings[0]}" if reading.warnings else f"good: {good}"
-    typer.echo(f"the frame is {verdict}")
+    typer.echo(f"the frame is {_frame_verdict(reading, float(measured.found.mean()))}")
     next_step(f"phytac live {folder} 0 shows forces of a camera" if rest else GIVE_REST)
+
+
+def _frame_verdict(reading: "Reading", found_share: float) -> str:
+    """Whether a frame is good, or why it is doubtful."""
+    from phytac_decoder.pipeline.decode import FOUND_WELL
+
+    if reading.warnings:
+        return f"doubtful: {reading.warnings[0]}"
+    return f"good: {found_share:.0%} of the markers found (needs {FOUND_WELL:.0%})"
 
 
 def _print_sums(

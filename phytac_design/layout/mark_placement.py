@@ -88,8 +88,9 @@ def place_reference_marks(design: Design, surface: Surface) -> PlacedMarks:
         raise DesignError(
             "reference-marks-rim",
             "the rim is too short for reference marks: they need "
-            f"{at_least(table.reach_mm)} mm (got wall.rim_length_mm = {design.wall.rim_length_mm:g}); raise it, or lower "
-            "reference_marks.diameter_mm or gap_mm",
+            f"{at_least(table.reach_mm)} mm (got wall.rim_length_mm = "
+            f"{design.wall.rim_length_mm:g}); raise it, or lower reference_marks.diameter_mm or "
+            "gap_mm",
         )
     return _placed(design, surface, 0.0)
 
