@@ -169,7 +169,7 @@ def build(
         next_step(f"phytac build {design or target / 'design.toml'} makes the other parts as well")
         return
     report = json.loads((page.parent / "report.json").read_text(encoding="utf-8"))
-    typer.echo(_verdict(report))
+    typer.echo(_verdict(report, loaded.training.force_max_N))
     linear = [text for text in report["limits"] if text.startswith("linear-tables")]
     for text in (*linear, *report["changes"]):
         typer.echo(f"to change or to mind: {text}")
@@ -180,19 +180,22 @@ def build(
     )
 
 
-def _verdict(report: dict[str, Any]) -> str:
-    """Figures that decide whether a sensor is good, each with what it needs."""
+def _verdict(report: dict[str, Any], force_N: float) -> str:
+    """Figures that decide whether a sensor is good, each with what it needs.
+
+    The bound is that of the design's greatest force ``force_N``.
+    """
     from phytac_design.optics.loaded_visibility import FUSED_PX
     from phytac_design.report.verdict import decoded
 
     seen = report["visibility"]
-    bound = report["resolution"]["bound"]["10 N"]
+    bound = report["resolution"]["bound"][f"{force_N:g} N"]
     return (
         f"{report['markers']['count']} markers: {seen['occluded']} hidden, {seen['fused']} fused "
         f"(must be 0), smallest gap of one colour {seen['min_gap_px']:.1f} px (needs more than "
-        f"{FUSED_PX:g}). {report['under_load']['sentence']} 10 N has at best a standard deviation "
-        f"of {bound['force_N_median']:.2f} N (median over the receptors; less is better). "
-        f"{decoded(report)}"
+        f"{FUSED_PX:g}). {report['under_load']['sentence']} {force_N:g} N has at best a standard "
+        f"deviation of {bound['force_N_median']:.2f} N (median over the receptors; less is "
+        f"better). {decoded(report)}"
     )
 
 

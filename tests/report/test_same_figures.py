@@ -32,7 +32,7 @@ def test_the_error_of_the_forces(built: BuildResult, page: str) -> None:
     assert f"relative error of {relative} and an absolute error of {absolute}" in sentence
     assert f"in rendered frames of {100.0 * frames['relative_error']:.1f} %" in sentence
     # The command, the page's first lines and its table, the comparison.
-    assert sentence in build_command._verdict(report)
+    assert sentence in build_command._verdict(report, 10.0)
     assert sentence in page
     row = rf"{best} {100.0 * points['relative_error']:.4g} {points['mae_N']:.4g} "
     assert len(re.findall(row, page)) == 1
@@ -47,7 +47,7 @@ def test_the_error_of_the_forces(built: BuildResult, page: str) -> None:
 def test_the_bound_of_ten_newtons(built: BuildResult, page: str) -> None:
     report = json.loads((built.out / "report" / "report.json").read_text())
     median = f"{report['resolution']['bound']['10 N']['force_N_median']:.2f} N"
-    assert f"standard deviation of {median} (median" in build_command._verdict(report)
+    assert f"standard deviation of {median} (median" in build_command._verdict(report, 10.0)
     (build,) = read_builds([built.out])
     compared = {figure.key: figure.of(build.report) for figure in FIGURES}
     assert compared["bound_10N_worst_N"] == report["resolution"]["bound"]["10 N"]["force_N_worst"]
