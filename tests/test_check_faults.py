@@ -237,6 +237,15 @@ def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
     assert hint < out.stderr.index("error["), "the likely cause comes first"
 
 
+def test_the_check_says_that_a_turned_shell_looks_the_same(tmp_path: Path) -> None:
+    path, words = tmp_path / "mine.toml", "the shell looks the same"
+    for count in (0, 6):
+        path.write_text(to_toml(small(camera=READING, reference_marks={"count": count})))
+        out = phytac("check", str(path), cwd=tmp_path).stdout
+        assert (words in out) == (count == 0)
+        assert ("set reference_marks.count = 6" in out) == (count == 0)
+
+
 def test_no_repair_is_looked_for_without_end_or_for_a_wrong_unit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -256,6 +256,13 @@ def test_frames_are_kept_and_read_alike(tmp_path: Path) -> None:
     noise = SMALL.camera.noise_centroid_px
     assert np.nanmedian(np.abs(samples.shift_px - other.shift_px)) < 3.0 * noise
     np.testing.assert_array_equal(samples.bits_read, other.bits_read)
+    # And what they were rendered with, for people.
+    assert samples.touches is not None
+    rows = [line.split(",") for line in (out / "truth.csv").read_text().splitlines()[1:]]
+    pressed = [row for row in rows if row[2]]
+    assert [float(row[1]) for row in pressed] == pytest.approx(samples.touches.force_N, abs=1e-4)
+    assert [row[0] for row in pressed] == [f"{k:06d}" for k in samples.touches.sample]
+    assert {f"{row[0]}.png" for row in rows} == set(meta.frames)
 
 
 def test_inputs_alone_are_the_networks(tmp_path: Path) -> None:

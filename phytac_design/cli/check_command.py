@@ -42,6 +42,7 @@ def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = Fa
         _warn(report)
     else:
         _print_check(report)
+        _print_turns(loaded)
         _warn(report)
         if report["visible"] and _blind_share(report) > BLIND_SHARE:
             _suggest_tips(loaded, report, seed=seed)
@@ -123,6 +124,21 @@ def _print_check(report: dict[str, Any]) -> None:
         need = f"  ({needs[key]})" if key in needs else ""
         typer.echo(f"  {name_of(f'visibility.{key}'):48s} {value:.4g}{need}")
     _print_effort(report["effort"])
+
+
+def _print_turns(design: "Design") -> None:
+    """Say that the shell looks the same from several sides, if it does."""
+    from phytac_design.layout.sensor import Sensor
+    from phytac_design.workflows.inspect_assembly import alike_turns
+
+    sensor, markers_max = Sensor(design), 2000  # all pairs of markers are compared
+    if design.reference_marks.count or sensor.markers.count > markers_max:
+        return
+    if (turns := len(alike_turns(sensor))) > 1:
+        typer.echo(
+            f"note: turned by {360.0 / turns:g}° or a multiple, the shell looks the same: align it "
+            "with the camera, or set reference_marks.count = 6, which tells the turns apart"
+        )
 
 
 def _print_effort(effort: dict[str, Any]) -> None:

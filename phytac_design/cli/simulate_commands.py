@@ -4,13 +4,16 @@ import os
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, check_out, say
 from phytac_design.cli.output import next_step, print_json, resumable
 from phytac_shapes.errors import DesignError
+
+if TYPE_CHECKING:
+    from phytac_design.design.spec import Design
 
 Route = Literal["points", "frames"]
 Displacement = Literal["auto", "linear", "large"]
@@ -113,6 +116,8 @@ def simulate(
         typer.echo(f"  {number} sample{'' if number == 1 else 's'}: {reason}")
     if len(reasons) > 5:
         typer.echo(f"  and {len(reasons) - 5} other reasons")
+    if keep == "frames":
+        _say_frames(loaded, done.out)
     next_step(f"phytac train {design} {done.out}")
 
 
@@ -126,3 +131,16 @@ def scenarios(as_json: JsonOption = False) -> None:
         return
     for name, description in known.items():
         typer.echo(f"{name:10s} {description}")
+
+
+def _say_frames(design: "Design", out: Path) -> None:
+    """Where the true forces of kept frames are, and how to decode the frames."""
+    from phytac_design.workflows.simulate import TRUTH
+
+    typer.echo(f"true forces of the frames are in {out / TRUTH}")
+    rows = [row.split(",") for row in (out / TRUTH).read_text(encoding="utf-8").splitlines()[1:]]
+    unloaded = next((row[0] for row in rows if row[1] == "0"), "")
+    if design.camera.ends == "both":
+        return
+    rest = out / "frames" / f"{unloaded}.png" if unloaded else "FRAME of the unloaded sensor"
+    next_step(f"phytac decode exports/{design.name}/decoder {out / 'frames'} --rest {rest}")

@@ -397,11 +397,11 @@ def inspect(sensor: Sensor, photos: Sequence[ImageArray], step: Step) -> Inspect
     notes = [f"{hidden} markers show too little paint in the photo to be judged"] if hidden else []
     if blind.any() and step == "assembled" and sensor.design.has_switches:
         notes.append(f"{int(blind.sum())} red tips look alike in and out, and are not judged")
-    turns = len(_turns(sensor))
+    turns = len(alike_turns(sensor))
     if turns > 1 and not sensor.reference_marks.count:
         notes.append(
             f"a shell turned by {360.0 / turns:g} degrees looks the same; align column 0 with the "
-            "mount, or add reference_marks to the design"
+            "mount, or set reference_marks.count = 6"
         )
     return Inspection(
         step=step, mistakes=mistakes, judged=int(judged.sum()), spots=len(names), notes=notes
@@ -420,7 +420,7 @@ def spot_names(sensor: Sensor) -> list[str]:
     ]
 
 
-def _turns(sensor: Sensor, *, colours: bool = True) -> list[IntArray]:
+def alike_turns(sensor: Sensor, *, colours: bool = True) -> list[IntArray]:
     """Turns of the shell that map markers onto one another, of the same colour or of any."""
     markers = sensor.markers
     paint = markers.colour if colours else np.zeros_like(markers.colour)
@@ -436,7 +436,7 @@ def _turn(expected: ExpectedPhoto, frame: ImageArray) -> list[Mistake]:
         If the paints of no turn stand out of the photo.
     """
     sensor, count = expected.sensor, expected.count
-    turns = _turns(sensor, colours=False)
+    turns = alike_turns(sensor, colours=False)
     paints = [np.append(expected.colour[order], expected.colour[count:]) for order in turns]
     scores, refusal = np.full(len(turns), -1), None
     known: dict[bytes, tuple[ColourModel, IntArray] | None] = {}

@@ -54,6 +54,8 @@ from phytac_shapes.errors import DesignError, InputError, OutputError
 
 JOURNAL_FOLDER = ".work"
 """Folder of finished samples inside the data set's; removed when the data set is complete."""
+TRUTH = "truth.csv"
+"""Forces that kept frames were rendered with, for people to read."""
 PROGRESS_INTERVAL_s = 2.0
 """Seconds between lines of progress."""
 
@@ -315,9 +317,34 @@ def simulate(
             rows = key_nodes(force_model_of(job), samples, noise_px=noise_px)
             samples = inputs_alone(samples, rows)
         names = [name for index in range(total) for name in facts[index]["frames"]]
+        if job.keep == "frames":
+            with writing(out):
+                write_truth(out / TRUTH, samples)
         write_samples(out, samples, _info(job, sight), frames=names)
         journal.drop()
     return _result(out, samples, total - before, begin)
+
+
+def write_truth(path: Path, samples: Samples) -> None:
+    """Write the contacts of every frame as CSV; an unloaded frame has one row, with force 0.
+
+    Frames are named by the start of their file's name, which of two cameras is the same.
+    """
+    lines = ["frame,force_N,x_mm,y_mm,z_mm"]
+    touches = samples.touches
+    for sample in range(samples.count):
+        own = (
+            np.zeros(0, dtype=int) if touches is None else np.flatnonzero(touches.sample == sample)
+        )
+        if touches is None or not len(own):
+            lines.append(f"{sample:06d},0,,,")
+            continue
+        lines.extend(
+            f"{sample:06d},{touches.force_N[k]:.4f},"
+            + ",".join(f"{x:.3f}" for x in touches.point_mm[k])
+            for k in own
+        )
+    write_atomically(path, ("\n".join(lines) + "\n").encode())
 
 
 def _info(job: Job, sight: ImagingReference) -> DataSetInfo:

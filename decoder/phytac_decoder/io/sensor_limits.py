@@ -59,7 +59,7 @@ def orientation_notes(bundle: "Bundle") -> list[str]:
     text = (
         f"orientation-ambiguous: a shell that sits turned by {360.0 / steps:g} degrees or a "
         f"multiple looks the same ({steps} ways), and then every place is wrong; align shell and "
-        "camera, or add reference_marks to the design"
+        "camera, or set reference_marks.count = 6 in the design"
     )
     if bundle.turned_deg:
         text = (
