@@ -171,8 +171,12 @@ def test_a_build_ends_with_its_verdict(built: BuildResult, monkeypatch: pytest.M
     monkeypatch.setattr("phytac_design.stages.build.build", lambda *_, **__: built)
     out = phytac("build", "cylinder60", "--out", str(built.out))
     assert out.returncode == 0, out.stderr
-    verdict, page, after = out.stdout.splitlines()[-3:]
     report = json.loads((built.out / "report" / "report.json").read_text())
+    *_, page, after = lines = out.stdout.splitlines()
+    verdict = next(line for line in lines if "hidden" in line)
+    for text in report["changes"]:
+        assert f"to change or to mind: {text}" in lines
+    assert report["changes"]
     gap = report["visibility"]["min_gap_px"]
     assert "0 hidden, 0 fused (must be 0)" in verdict
     assert f"smallest gap of one colour {gap:.1f} px (needs more than 2)" in verdict

@@ -1,11 +1,13 @@
 """Recordings for Rerun, read by its own library."""
 
 import contextlib
+import os
 import signal
 import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +99,19 @@ def test_what_cannot_be_recorded_is_refused(
     assert not (tmp_path / "out.rrd").exists()
 
 
+@contextlib.contextmanager
+def listener_of(words: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Rerun's program, which starts one of its own; both end with the block, whatever happens."""
+    command = [sys.executable, "-m", "rerun", *words]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
+    try:
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
 @UNFOOTED
 def test_a_viewer_gets_what_a_file_gets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
@@ -104,8 +119,7 @@ def test_a_viewer_gets_what_a_file_gets(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(rerun_recording, "VIEWER_PORT", port)
     words = ("--bind", "127.0.0.1", "--port", str(port), "--save", str(tmp_path / "shown.rrd"))
     # Rerun's own program in the viewer's place: it needs no display.
-    listener = subprocess.Popen([sys.executable, "-m", "rerun", *words], stderr=subprocess.DEVNULL)
-    with listener:
+    with listener_of(words) as listener:
         while not rerun_recording._listens():
             assert listener.poll() is None
             time.sleep(0.05)
@@ -115,8 +129,8 @@ def test_a_viewer_gets_what_a_file_gets(tmp_path: Path, monkeypatch: pytest.Monk
                 for recorder in kept.values():
                     recorder.add(message)
             assert rows_text(kept).endswith(", 3 rows in Rerun's viewer")
-        listener.send_signal(signal.SIGINT)
-        listener.wait(20.0)
+        os.killpg(listener.pid, signal.SIGINT)
+        listener.wait(60.0)
     name = "force/net_N:Scalars:scalars"
     shown, kept_file = columns(tmp_path / "shown.rrd"), columns(tmp_path / "out.rrd")
     assert shown[name] == kept_file[name] == [[0.0, 0.0, -4.5]] * 2

@@ -149,7 +149,7 @@ def test_a_repair_is_found_and_applied(seen: Seen) -> None:
     page.evaluate("studio.model.set('camera.stand_off_mm', 3)")
     seen.reached("refused")
     page.get_by_role("button", name="Find a repair").click()
-    page.locator("#verdict", has_text="camera.stand_off_mm 3.0 → fit repairs it.").wait_for()
+    page.locator("#verdict", has_text='camera.stand_off_mm 3.0 → "fit" repairs it.').wait_for()
     page.get_by_role("button", name="Apply").click()
     seen.reached("checked")
     assert page.locator("#repair").count() == 0
