@@ -1,4 +1,4 @@
-"""What is left of a recording when its program is killed.
+"""Frames that a recording loses when its program is killed.
 
 As a program of its own it records messages in real time, in all formats at once, and prints the
 number of each frame when it has been handed over: ``python -m benchmarks.connect_kills INPUT``.
@@ -83,7 +83,7 @@ def lost_frames(
         process.send_signal(signal.SIGKILL)
         sent = 2 + process.stdout.read().count("\n") - 1
     markers = len(bundle.position_mm)
-    # The last frame may be written and not yet told.
+    # The last frame may be written and not yet reported.
     return {name: max(sent - count(folder, markers), 0) for name, count in FOUND.items()}
 
 
@@ -94,7 +94,7 @@ def in_csv(folder: Path, _markers: int) -> int:
 
 
 def in_parquet(folder: Path, _markers: int) -> int:
-    """Frames of the Parquet file that ``phytac convert`` makes of what is left."""
+    """Frames of the Parquet file that ``phytac convert`` makes of the CSV of a killed program."""
     import pyarrow.parquet
 
     to_parquet(folder / "out.csv", folder / "out.parquet", force=True)

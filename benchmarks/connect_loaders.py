@@ -150,13 +150,13 @@ def in_sdformat(path: Path) -> Loaded:
     words = [str(sdf_program()), str(path)]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     rows = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
-    told = {key: text for key, text in rows if key in {"mass", "centre"}}
+    stated = {key: text for key, text in rows if key in {"mass", "centre"}}
     inertia = np.array([text.split() for key, text in rows if key == "inertia"], dtype=float)
     frames = [text.split() for key, text in rows if key == "frame"]
     places = [frame[1:] for frame in frames if frame[0].startswith("receptor_")]
     return Loaded(
         said=done.stderr.splitlines() + [text for key, text in rows if key == "error"],
-        mass_kg=float(told["mass"]),
+        mass_kg=float(stated["mass"]),
         moments=np.asarray(np.linalg.eigvalsh(inertia), dtype=np.float64),
         receptors_m=np.array(places, dtype=np.float64),
     )

@@ -82,6 +82,9 @@ def test_a_killed_program_s_data_set_is_resumed(folder: Path, tmp_path: Path) ->
             assert json.loads((out / name).read_text()) == json.loads((folder / name).read_text())
     with refused("lerobot-resume-invalid"):
         LeRobotWriter(out, fps=FPS + 1, features=message_features(30), resume=True)
+    (out / "meta" / "info.json").write_text("{")
+    with refused("lerobot-resume-invalid"):
+        LeRobotWriter(out, fps=FPS, features=message_features(30), resume=True)
     for one in killed:
         one._running.close()
 

@@ -137,7 +137,7 @@ def _print_turns(design: "Design") -> None:
     if (turns := len(alike_turns(sensor))) > 1:
         typer.echo(
             f"note: turned by {360.0 / turns:g}° or a multiple, the shell looks the same: align it "
-            "with the camera, or set reference_marks.count = 6, which tells the turns apart"
+            "with the camera, or set reference_marks.count = 6, so that turns differ"
         )
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from phytac_decoder.serving.wire_protocol import Message
 from phytac_design.core.parquet_recording import parquet_library
 from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import InputError, OutputError
+from phytac_shapes.errors import InputError, OutputError, cause_of
 
 VERSION = "v3.0"
 FILES_PER_CHUNK = 1000
@@ -64,7 +64,7 @@ class LeRobotWriter:
     robot_type : str
         As LeRobot names robots.
     resume : bool
-        Go on with a folder that is there, in the episode that had not ended.
+        Continue a folder that is there, in the episode that had not ended.
 
     Attributes
     ----------
@@ -76,8 +76,8 @@ class LeRobotWriter:
     Raises
     ------
     InputError
-        If a feature has a name of LeRobot's own columns, or one with a slash, or a folder to go on
-        with has other features or another rate.
+        If a feature has a name of LeRobot's own columns, or one with a slash, or a folder to
+        continue has other features or another rate.
     MissingPartError
         If pyarrow is not installed.
     OutputError
@@ -131,12 +131,17 @@ class LeRobotWriter:
         }
         try:
             if resume and folder.is_dir():
-                self._go_on()
+                self._continue()
             else:
                 folder.mkdir(parents=True)
         except FileExistsError:
             raise OutputError(
                 "output-exists", f"{folder} is there already; choose another name, or remove it"
+            ) from None
+        except (ValueError, KeyError) as error:
+            raise InputError(
+                "lerobot-resume-invalid",
+                f"{folder} is no data set to continue ({cause_of(error)}); choose another name",
             ) from None
         except OSError as error:
             raise self._unwritable(error) from None
@@ -151,7 +156,7 @@ class LeRobotWriter:
         """The running episode's frames, one after the other: numbers of 64 bits."""
         return self._folder / f"running-{self.episodes}.f64"
 
-    def _go_on(self) -> None:
+    def _continue(self) -> None:
         """Take up a data set as it is: its episodes, and frames of the one that had not ended."""
         info, parquet = self._folder / "meta" / "info.json", self._arrow.parquet
         if info.is_file():

@@ -28,7 +28,7 @@ QUEUE = 64
 DEPTH = 256
 """Messages of a topic that are kept for a subscriber that asks again for what it lost."""
 CAMERA_INFO_s, MARKERS_s = 1.0, 1.0 / 31.0
-"""Least seconds between messages that describe the cameras, and between arrows for eyes."""
+"""Least seconds between messages that describe the cameras, and between arrows (for display)."""
 POLL_s = 0.05
 """Longest time until a request is seen while no frame comes."""
 TOPIC_TYPES = {

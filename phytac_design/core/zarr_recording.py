@@ -48,7 +48,7 @@ class ZarrArray:
         self.count, self._tail = 0, like[:0]
 
     def read(self, count: int | None = None) -> Any:
-        """Read what is on the disk, and go on after ``count`` rows; returns these.
+        """Read what is on the disk, and continue after ``count`` rows; returns these.
 
         Raises
         ------
@@ -130,12 +130,12 @@ class ZarrRecorder:
     area : int
         FTP-1's number of its functional area; 0 and 1 are the two pads of a gripper.
     resume : bool
-        Go on with a folder, by a new episode; rows of no episode are cut off.
+        Continue a folder, by a new episode; rows of no episode are cut off.
 
     Raises
     ------
     InputError
-        If a folder to go on with is of another sensor.
+        If a folder to continue is of another sensor.
     OutputError
         If the folder exists, or cannot be written.
     """
@@ -165,7 +165,7 @@ class ZarrRecorder:
         self._ends: list[int] = []
         try:
             if path.exists():
-                self._go_on()
+                self._continue()
             else:
                 self._make()
         except OSError as error:
@@ -187,8 +187,8 @@ class ZarrRecorder:
             self._arrays[key].append(one[:0])
         self._end_array.append(np.zeros(0, dtype=np.int64))
 
-    def _go_on(self) -> None:
-        """Go on with arrays that are there, after the last episode's end."""
+    def _continue(self) -> None:
+        """Continue arrays that are there, after the last episode's end."""
         try:
             self._ends = self._end_array.read().tolist()
             for array in self._arrays.values():
