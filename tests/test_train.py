@@ -13,8 +13,8 @@ from phytac_decoder.estimation.cascade_network import ACTIVATIONS, CascadeNetwor
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_design.cli.app import app
-from phytac_design.datasets.samples import Samples, inputs_alone, key_nodes
-from phytac_design.datasets.samples_file import write_samples
+from phytac_design.datasets.samples import THEORIES, Samples, inputs_alone, key_nodes
+from phytac_design.datasets.samples_file import read_samples, write_samples
 from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.engine.stage import Context
 from phytac_design.stages.build import run_stages, select_stages
@@ -224,6 +224,23 @@ def test_columns_stay_by_design_where_measured_ones_are_no_better(context: Conte
     fit = fit_mechanics(model, model.footprint_px, samples, validation)
     assert fit.columns == 0
     assert fit.model.measured is None
+
+
+def test_the_error_of_linear_data_is_kept(
+    with_auto: Path, little: Path, learn: Callable[..., Path], tmp_path: Path
+) -> None:
+    def limits(folder: Path) -> list[str]:
+        return [text for text in load_bundle(folder).limits() if text.startswith("linear-tables")]
+
+    (words,) = limits(with_auto)
+    assert "simulated by linear theory" in words
+    locator = load_bundle(with_auto).model.locator
+    assert locator is not None
+    assert locator.as_if_linear
+    samples, info = read_samples(little)
+    large = np.full(samples.count, THEORIES.index("large"))
+    write_samples(tmp_path / "large", replace(samples, theory=large), info)
+    assert limits(learn(tmp_path / "large")) == []
 
 
 @pytest.mark.usefixtures("networks_alone")

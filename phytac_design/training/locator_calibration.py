@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
-from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise, initial_state
+from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_design.datasets.samples import FAILED, Samples, TouchRows
@@ -229,6 +230,24 @@ def calibrate_locator(
         "spread_share": correction.spread_share,
     }
     return replace(plain, correction=correction), facts
+
+
+def error_of_first_order(locator: ContactLocator) -> float:
+    """Return how far the first order of the tables is off at the largest force, at the worst place.
+
+    That is the force read from the tables' own shifts by their first order alone, its difference to
+    the true force over the force read; 0 for tables of one order.
+    """
+    places, force_N = locator.places, locator.prior.force_N
+    errors = [0.0]
+    if places.orders > 1:
+        for row in range(0, len(places.point_mm), max(len(places.point_mm) // 100, 1)):
+            state = initial_state(places, locator.prior, places.point_mm[row], force_N)
+            ((true_px, _),) = predicted_shifts(places, [state])
+            ((first_px, _),) = predicted_shifts(locator.linear.places, [state])
+            read = float(first_px @ true_px) / max(float(first_px @ first_px), 1e-12)
+            errors.append(abs(1.0 / max(read, 1e-3) - 1.0))
+    return max(errors)
 
 
 def press_blocks(samples: Samples, touch: IntArray) -> IntArray:

@@ -13,7 +13,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_design.datasets.samples import THEORIES, KeyNodeData, Samples, key_nodes
 from phytac_design.training.fem_calibration import MODULI, fit_mechanics
 from phytac_design.training.levenberg_marquardt import train_network
-from phytac_design.training.locator_calibration import calibrate_locator
+from phytac_design.training.locator_calibration import calibrate_locator, error_of_first_order
 from phytac_design.training.training_data import SplitPart, data_of
 from phytac_shapes.errors import InputError
 
@@ -117,7 +117,8 @@ def calibrate_fem(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
 def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
     """Calibrate ``auto``: stiffness, marker gains, noise, priors, correction, spread.
 
-    If all samples are of linear theory, its tables are reduced to the first order.
+    If all samples are of linear theory, its tables are reduced to the first order, and the error of
+    linear theory is kept: it widens intervals and is a limit of the decoder.
 
     Raises
     ------
@@ -137,6 +138,12 @@ def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
         force_max_N=task.bundle.force_max_N,
         seed=task.seed,
     )
+    if linear and locator.correction is not None:
+        locator = replace(
+            locator,
+            correction=replace(locator.correction, linear=True),
+            linear_error=model.locator.linear_error or error_of_first_order(model.locator),
+        )
     return replace(model, locator=locator), facts | {"orders": locator.places.orders}
 
 

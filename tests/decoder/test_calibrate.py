@@ -13,6 +13,7 @@ from phytac_design.datasets.samples import Samples
 from phytac_design.training.force_correction_fit import fit_correction, fit_spread
 from phytac_design.training.locator_calibration import (
     calibrate_locator,
+    error_of_first_order,
     match_contacts,
     pressure_moments,
     weighted_median,
@@ -269,3 +270,16 @@ def test_weighted_median() -> None:
     values = np.array([3.0, 1.0, 2.0])
     assert weighted_median(values, np.array([1.0, 1.0, 1.0])) == 2.0
     assert weighted_median(values, np.array([5.0, 1.0, 1.0])) == 3.0
+
+
+def test_the_error_of_the_first_order_is_that_of_the_force() -> None:
+    first = LOCATOR.places.shift_px[:, :1]
+    # At 20 N the shifts are 0.8 of the first order's: 20 N reads 16.
+    curved = np.concatenate([first, -0.01 * first], axis=1)
+    locator = replace(
+        LOCATOR,
+        places=replace(LOCATOR.places, shift_px=curved),
+        prior=replace(LOCATOR.prior, force_N=20.0),
+    )
+    assert error_of_first_order(locator) == pytest.approx(0.25, rel=1e-3)
+    assert error_of_first_order(locator.linear) == 0.0

@@ -39,6 +39,8 @@ class ForceCorrection:
         Length scales of the features.
     stiffness : float
         Stiffness of the print that the tables were scaled to, over that of the design.
+    linear : bool
+        The data were simulated by linear theory, so that the correction knows nothing of its error.
     """
 
     centre: FloatArray
@@ -50,6 +52,7 @@ class ForceCorrection:
     spread_share: float = 0.0
     lengths: Lengths = LEGACY_LENGTHS
     stiffness: float = 1.0
+    linear: bool = False
 
     @classmethod
     def plain(cls, *, low_mm: FloatArray, size_mm: float, force_max_N: float) -> "ForceCorrection":

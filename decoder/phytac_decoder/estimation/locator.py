@@ -127,8 +127,8 @@ class ContactLocator:
         Relative standard deviation of the wall's stiffness against that when the correction was
         fitted.
     linear_error : float
-        Relative error of linear tables at the design's largest force; 0 where they are not linear.
-        It grows in proportion to the force.
+        Relative error of linear tables at the design's largest force, over the true one; 0 where
+        they are not linear. It grows in proportion to the force.
     """
 
     places: ResponseTable
@@ -143,6 +143,11 @@ class ContactLocator:
     camera_motion: CameraMotion | None = None
     stiffness_change: float = 0.0
     linear_error: float = 0.0
+
+    @property
+    def as_if_linear(self) -> bool:
+        """Whether forces have the error of linear theory: no data that have it were fitted to."""
+        return self.correction is None or self.correction.linear
 
     @property
     def linear(self) -> "ContactLocator":
@@ -565,9 +570,13 @@ class ContactLocator:
 
         It does not say whether there is a contact at all.
         """
-        if self.correction is not None:  # fitted to data that have it
+        if not self.as_if_linear:
             return np.zeros_like(force_N)
-        return np.asarray(self.linear_error * force_N**2 / self.prior.force_N / 1.645)
+        largest_N = self.prior.force_N
+        share = self.linear_error * force_N / largest_N
+        # The true force F reads F / (1 + e F / F_max); there is no such F where share >= 1.
+        beyond_N = force_N * share / np.maximum(1.0 - share, 1e-9)
+        return np.minimum(beyond_N, np.maximum(largest_N - force_N, force_N * share)) / 1.645
 
     def _force_by_extent(self, states: Sequence[ContactState]) -> FloatArray:
         """Return the error (c,) N of contacts that are too large for their second moments alone."""

@@ -173,6 +173,8 @@ def locator_from(
             lengths=tuple(lengths),
             # Up to schema 1.14 it was not stored, and nothing used it.
             stiffness=number(stored.get("stiffness", 1.0), positive=True),
+            # Up to schema 1.18 it was not stored.
+            linear=bool(stored.get("linear", False)),
         )
     prior, noise = table["prior"], table["noise"]
     radius_mm = number(table["radius_mm"], positive=True)

@@ -82,12 +82,16 @@ def _table_limits(locator: ContactLocator | None) -> list[str]:
             "as normal force, or as contacts that do not exist; build and train it again"
         )
     error = locator.linear_error
-    if locator.correction is None and error > LINEAR_ERROR_MAX:
+    if locator.as_if_linear and error > LINEAR_ERROR_MAX:
         share = "more than 100" if error > 1.0 else f"up to {100.0 * error:.0f}"
+        cause, cure = "accuracy draft", "build with --accuracy standard"
+        if locator.correction is not None:
+            cause = "its data were simulated by linear theory"
+            cure = "train on data that were simulated with --displacement auto, or measured"
         out.append(
-            f"linear-tables: this decoder takes the wall as linear (accuracy draft), {share} % off "
+            f"linear-tables: this decoder takes the wall as linear ({cause}), {share} % off "
             f"at {locator.prior.force_N:g} N and less at smaller forces; the intervals of auto "
-            "allow for it, figures of linear simulations do not; build with --accuracy standard"
+            f"allow for it, figures of linear simulations do not; {cure}"
         )
     return out
 
