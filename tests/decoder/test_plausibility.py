@@ -7,10 +7,12 @@ import pytest
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.pipeline.decode import noisy_rims
+from phytac_decoder.mechanics.response_table import ResponseTable
+from phytac_decoder.pipeline.decode import FrameMeasurement, noisy_rims, over_rims
 from phytac_decoder.pipeline.plausibility import implausible
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest
+from tests.decoder.test_bundle_locator import bundle as toy_with_locator
 from tests.decoder.test_follow import make_bundle
 
 AT = np.array([28.2, 29.6, 0.0])
@@ -86,7 +88,6 @@ def test_noise_above_the_expected_one_is_named_where_forces_are_doubtful() -> No
     assert "above 5 %" in words
     assert noisy_rims(detection(9.0, sd_N=0.1, chi2=4.0)) == []
     assert noisy_rims(detection(9.0, sd_N=2.0, chi2=1.5)) == []
-    assert noisy_rims(None) == []
 
 
 def test_errors_beyond_a_frame_s_own_noise_are_named_whatever_noise_a_camera_may_have() -> None:
@@ -95,3 +96,81 @@ def test_errors_beyond_a_frame_s_own_noise_are_named_whatever_noise_a_camera_may
         assert bool(noisy_rims(noisy, chi2_allowed=5.0)) == named
         # More noise in all markers is no such error.
         assert not noisy_rims(replace(noisy, reduced_chi2=1.0, noise_scale=2.0), chi2_allowed=5.0)
+
+
+def at_end(point_mm: FloatArray, radius_mm: float) -> ContactDetection:
+    found = detection(9.0, point_mm)
+    (contact,) = found.contacts
+    found.contacts[:] = [replace(contact, radius_mm=radius_mm, sd_mm=np.full(2, 0.3))]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "radius_mm", "over"),
+    [
+        (30.0, 30.0, 5.0, False),
+        (5.0, 30.0, 5.0, False),
+        (3.0, 30.0, 5.0, True),
+        (3.0, 30.0, 3.0, False),
+        (31.5, 58.5, 5.0, True),
+        (2.0, 58.0, 4.0, True),
+    ],
+)
+def test_contacts_that_reach_over_the_end_of_the_surface_are_named(
+    x: float, y: float, radius_mm: float, over: bool
+) -> None:
+    words = over_rims(at_end(np.array([x, y, 0.0]), radius_mm), flat_locator().places)
+    assert len(words) == over
+    assert all("contacts of 9.0 N reach over the end" in text for text in words)
+
+
+def test_a_frame_warns_of_them() -> None:
+    sensor = toy_with_locator()
+    count, locator = len(sensor.colour), sensor.model.locator
+    assert locator is not None
+    frame = FrameMeasurement(
+        koi=np.zeros(0, dtype=np.int64),
+        shift_px=np.zeros((count, 2)),
+        found=np.ones(count, dtype=np.bool_),
+    )
+    end, inward = (each[0] for each in locator.places.ends)
+    for inside_mm, over in ((0.0, True), (6.0, False)):
+        found = replace(at_end(end + inside_mm * inward, 4.0), shift_px=np.zeros(2 * count))
+        words = frame.warnings(sensor, np.zeros(count), estimator="auto", found=found)
+        assert any("reach over the end" in text for text in words) == over
+
+
+def table_of(point_mm: FloatArray, along: FloatArray, around: FloatArray) -> ResponseTable:
+    rows = np.zeros((len(point_mm), 1, 2), dtype=np.float32)
+    return ResponseTable(
+        point_mm=point_mm, along=along, around=around, shift_px=rows, radius_mm=5.0
+    )
+
+
+def test_the_end_of_a_tube_is_at_its_rims_and_that_of_a_dome_not_at_its_pole() -> None:
+    z, angle = (x.ravel() for x in np.meshgrid(np.arange(0.0, 41.0, 4.0), np.arange(24) * 0.2618))
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(z))])
+    up = np.tile([0.0, 0.0, 1.0], (len(z), 1))
+    tube = table_of(15.0 * ring + z[:, None] * up, up, np.cross(up, ring))
+    probe = np.array([[15.0, 0.0, h] for h in (0.0, 1.5, 18.0, 38.0)])
+    np.testing.assert_allclose(tube.end_distance_mm(probe), [0.0, 1.5, 18.0, 2.0], atol=1e-9)
+    # A dome of the same radius, its pole once.
+    polar = np.concatenate([[0.0], np.repeat(np.linspace(0.26, np.pi / 2.0, 6), 24)])
+    angle = np.concatenate([[0.0], np.tile(np.arange(24) * 0.2618, 6)])
+    normal = np.column_stack(
+        [np.sin(polar) * np.cos(angle), np.sin(polar) * np.sin(angle), np.cos(polar)]
+    )
+    around = np.column_stack([-np.sin(angle), np.cos(angle), np.zeros(len(angle))])
+    dome = table_of(15.0 * normal, np.cross(around, normal), around)
+    assert {round(float(h), 6) for h in dome.ends[0][:, 2]} == {0.0}
+    assert dome.end_distance_mm(np.array([[0.0, 0.0, 15.0]]))[0] > 14.0
+
+
+def test_a_closed_surface_has_no_end() -> None:
+    golden = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(200)
+    height = 1.0 - (np.arange(200) + 0.5) / 100.0
+    size = np.sqrt(1.0 - height**2)
+    normal = np.column_stack([size * np.cos(golden), size * np.sin(golden), height])
+    around = np.column_stack([-np.sin(golden), np.cos(golden), np.zeros(200)])
+    ball = table_of(15.0 * normal, np.cross(around, normal), around)
+    assert np.isinf(ball.end_distance_mm(normal[:3])).all()

@@ -34,6 +34,9 @@ TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2),
 """Powers of x and y of the cubic."""
 FIT_PLACES = 20
 """Number of places that a cubic is fitted to: twice its coefficients."""
+END_GAP_rad, END_PLACES = 2.6, 3
+"""Angle without a neighbour from which a place is at the end of the surface (150°, and 180° at a
+straight end); number of such places that the distance of a point to the end is measured from."""
 FLAT_COSINE_DROP, FLATNESS_NEIGHBOURS = 1e-4, 8
 """Largest 1 - cos of the angle between normals on a flat wall (0.8°); number of places whose
 normals are compared."""
@@ -107,7 +110,7 @@ class ResponseTable:
 
     def _like(self, out: "ResponseTable") -> "ResponseTable":
         # These depend on the places alone, and computing them takes a third of a second.
-        for known in ("fits", "flat", "place_normals"):
+        for known in ("fits", "flat", "place_normals", "ends"):
             if known in self.__dict__:
                 out.__dict__[known] = self.__dict__[known]
         if out.shear is self.shear and "shear_px" in self.__dict__:
@@ -137,6 +140,40 @@ class ResponseTable:
         return np.asarray(
             np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1) > 1.0 - FLAT_COSINE_DROP
         )
+
+    @cached_property
+    def ends(self) -> tuple[FloatArray, FloatArray]:
+        """Places (r, 3) at the end of the surface, and unit tangents (r, 3) that point inward.
+
+        A place is at the end if its neighbours leave more than ``END_GAP_rad`` free on one side.
+        """
+        near = self.fits[0][:, 1:]
+        normal = self.place_normals
+        ours = np.arange(len(near))[:, None]
+        arm = self.point_mm[near] - self.point_mm[:, None]
+        xy = _tangent_coordinates(arm, self.along[:, None], self.around[:, None])
+        size = np.linalg.norm(xy, axis=2)
+        # On a thin sensor the far side is near; turned copies of a pole coincide with it.
+        known = (np.einsum("pqi,pqi->pq", normal[near], normal[ours]) > 0.0) & (size > 0.0)
+        angle = np.arctan2(xy[..., 1], xy[..., 0])
+        angle = np.sort(np.where(known, angle, angle[np.arange(len(near)), known.argmax(1), None]))
+        gap = np.diff(angle, axis=1, append=angle[:, :1] + 2.0 * np.pi)
+        rows = np.flatnonzero(gap.max(axis=1) > END_GAP_rad)
+        widest = gap[rows].argmax(axis=1)
+        inward = angle[rows, widest] + gap[rows, widest] / 2.0 + np.pi
+        x, y = np.cos(inward)[:, None], np.sin(inward)[:, None]
+        return self.point_mm[rows], x * self.along[rows] + y * self.around[rows]
+
+    def end_distance_mm(self, points_mm: FloatArray) -> FloatArray:
+        """Return how far points (m, 3) are from the end of the surface, (m,); inf without one."""
+        ends, inward = self.ends
+        if not len(ends):
+            return np.full(len(points_mm), np.inf)
+        arm = points_mm[:, None] - ends
+        # The nearest few: at a corner two ends are near.
+        order = np.argsort(np.linalg.norm(arm, axis=2), axis=1)[:, :END_PLACES]
+        across = np.einsum("mri,ri->mr", arm, inward)
+        return np.asarray(np.take_along_axis(across, order, axis=1).min(axis=1))
 
     def tangent_coordinates(
         self, places: int | Sequence[int] | IntArray, points_mm: FloatArray

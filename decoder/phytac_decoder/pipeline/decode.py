@@ -11,6 +11,7 @@ from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.estimation.locator import SETTINGS as LOCATOR_SETTINGS
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_words
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_decoder.pipeline.fault_detection import FaultDetector
 from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers
 from phytac_decoder.vision.segmentation import Blobs, check_image, segment_in_its_light
@@ -125,7 +126,7 @@ class FrameMeasurement:
                 f"{most} contacts are the most that are found without switches: there may be more, "
                 "and a force may be the sum of several"
             )
-        out += noisy_rims(found, chi2_allowed=_chi2_allowed(bundle))
+        out += _rim_warnings(bundle, found)
         if len(self.half_out) >= HALF_OUT_REPORTED:
             out.append(
                 f"{len(self.half_out)} tips whose switches are off ({id_list(self.half_out)}) show "
@@ -198,13 +199,16 @@ class FrameMeasurement:
         return out
 
 
-def _chi2_allowed(bundle: Bundle) -> float:
+def _rim_warnings(bundle: Bundle, found: ContactDetection | None) -> list[str]:
     locator = bundle.model.locator
-    return locator.noise.chi2_allowed if locator else 1.0
+    if locator is None or found is None:
+        return []
+    noisy = noisy_rims(found, chi2_allowed=locator.noise.chi2_allowed)
+    return noisy + over_rims(found, locator.places)
 
 
 def noisy_rims(
-    found: ContactDetection | None,
+    found: ContactDetection,
     chi2_max: float = 2.0,
     spread_max: float = 0.05,
     *,
@@ -227,8 +231,6 @@ def noisy_rims(
     chi2_systematic : float
         Reduced χ² by this frame's own noise, above which errors are not noise.
     """
-    if found is None:
-        return []
     usual = found.chi2_of_usual <= chi2_max * chi2_allowed
     if usual and found.reduced_chi2 <= chi2_systematic:
         return []
@@ -238,6 +240,36 @@ def noisy_rims(
         f"markers are {np.sqrt(found.chi2_of_usual):.1f} times their noise from where contacts put "
         f"them: forces with a standard deviation above {100.0 * spread_max:g} % are doubtful; "
         "check focus, light and compression"
+    )
+    return [words]
+
+
+def over_rims(found: ContactDetection, places: ResponseTable, *, inside: float = 0.8) -> list[str]:
+    """Warning of contacts that reach over the end of the surface; none for others.
+
+    The sensor feels what presses on its wall, and not what presses beside it.
+
+    Parameters
+    ----------
+    inside : float
+        Distance of a contact from the end, less its standard deviation, over the contact's radius,
+        from which on it counts as inside: 5 % of a disc lie beyond.
+    """
+    if not found.contacts:
+        return []
+    points = np.stack([one.point_mm for one in found.contacts])
+    distance = places.end_distance_mm(points) - [max(one.sd_mm) for one in found.contacts]
+    over = [
+        one
+        for one, gap in zip(found.contacts, distance, strict=True)
+        if gap < inside * one.radius_mm
+    ]
+    if not over:
+        return []
+    forces = ", ".join(f"{one.force_N:.1f}" for one in over)
+    words = (
+        f"contacts of {forces} N reach over the end of the sensing surface: what presses beyond it "
+        "is not measured, and force and place are hard to tell apart there"
     )
     return [words]
 
