@@ -106,6 +106,18 @@ def test_assumptions_are_what_the_paper_does_not_state() -> None:
         ({"camera": {"width_px": 10**9}}, "camera.width_px: input should be less than or equal"),
         ({"shape": {"kind": "sphere"}}, "shape.kind"),
         ({"shape": {"kind": "cylinder", "length_mm": 1}}, "shape.diameter_outer_mm is missing"),
+        ({"wall": {"rows": 8}}, r"unknown key 'wall.rows'; it belongs to \[layout\]"),
+        (
+            {"shape": {**MINIMAL["shape"], "rows": 8}},
+            r"unknown key 'shape.rows'; it belongs to \[layout\]",
+        ),
+        ({"rows": 8}, r"unknown key 'rows'; it belongs to \[layout\]"),
+        (
+            {"layout": {"diameter_outer_mm": 5.0}},
+            r"'layout.diameter_outer_mm'; it belongs to \[shape\] or \[receptor\]",
+        ),
+        # A field of another kind of shape, though [receptor] has one of this name too.
+        ({"shape": {**MINIMAL["shape"], "tilt_deg": 8}}, r"unknown key 'shape.tilt_deg' \(known:"),
         ({"wall": {"thickness_mm": True}}, "thickness_mm must be a number or a text, not true"),
         ({"name": "../x"}, "name: string should match pattern"),
         ({"training": {"force_min_N": 9, "force_max_N": 2}}, "force_max_N must exceed force_min_N"),

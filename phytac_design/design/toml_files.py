@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -118,6 +118,8 @@ class TomlFileKind:
             known = [name for held in models for name in held.model_fields]
             near = get_close_matches(path[-1], known, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else f" (known: {', '.join(known)})"
+            if homes := _tables_with(model, path[-1], but=path[0]):
+                hint = f"; it belongs to {' or '.join(homes)}"
             return f"unknown key {_literal(where)}{hint}"
         if kind == "missing":
             return f"{where} is missing; {f'kind {tag!r} needs it' if tag else self.missing}"
@@ -149,6 +151,20 @@ def table_models(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [found for part in get_args(annotation) for found in table_models(part)]
+
+
+def _tables_with(model: type[BaseModel], field: str, *, but: str) -> list[str]:
+    """Tables of a file, as ``[layout]``, that have a field; lists of tables are left out.
+
+    None if another kind of the table ``but`` has it: there the kind is wrong.
+    """
+    found = [
+        name
+        for name, info in model.model_fields.items()
+        if get_origin(info.annotation) is not tuple
+        and any(field in one.model_fields for one in table_models(info.annotation))
+    ]
+    return [] if but in found else [f"[{name}]" for name in found]
 
 
 def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
