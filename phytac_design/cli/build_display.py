@@ -14,8 +14,8 @@ from phytac_design.cli.options import say
 class BuildDisplay:
     """Shows the texts of a build's progress; use it as a context manager.
 
-    Where standard error is a terminal, the last line shows the running stages, their seconds and
-    the time left, and counters such as ``frames: 3 of 80`` are shown there alone.
+    Where standard error is a terminal, the last line shows how many stages have ended, the running
+    ones, their seconds and the time left, and counters such as ``frames: 3 of 80`` alone.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class BuildDisplay:
         terminal = console.is_terminal and not console.is_dumb_terminal
         self._live = Live(self, console=console, transient=True) if terminal else None
         self._begun: dict[str, float] = {}
-        self._counter = ""
+        self._counter = self._ended = ""
         self._end = float("inf")
 
     def __enter__(self) -> Self:
@@ -43,23 +43,33 @@ class BuildDisplay:
         now = time.monotonic()
         if left := re.search(r" \(about (\d+) s left\)$", text):
             self._end, text = now + float(left[1]), text[: left.start()]
-        turn = re.match(r"\[\d+/\d+\] ([a-z-]+) (…)?", text)
-        if turn and turn[2]:
-            self._begun[turn[1]] = now
+        turn = re.match(r"\[(\d+)/(\d+)\] ([a-z-]+) (…)?", text)
+        if turn:
+            self._ended = f"{turn[1]} of {turn[2]} stages done"
+        if turn and turn[4]:
+            self._begun[turn[3]] = now
             return
         if re.search(r": \d+ of \d+", text):
             self._counter = text
             return
         if turn:
-            self._begun.pop(turn[1], None)
+            self._begun.pop(turn[3], None)
             self._counter = ""
         self._live.console.print(Text(text))
 
     def __rich__(self) -> Text:
         """Return the line of what runs at the moment."""
         now = time.monotonic()
-        parts = [f"{name} {now - begun:.0f} s" for name, begun in self._begun.items()]
+        parts = [self._ended] if self._ended else []
+        parts += [f"{name} {now - begun:.0f} s" for name, begun in self._begun.items()]
         parts += [self._counter] if self._counter else []
         if self._end < float("inf"):
-            parts.append(f"about {max(self._end - now, 0.0):.0f} s left")
+            parts.append(_left_words(self._end - now))
         return Text("  " + " · ".join(parts), no_wrap=True, overflow="ellipsis")
+
+
+def _left_words(left_s: float) -> str:
+    """Time left, in words that never promise an end at once."""
+    if left_s >= 5.0:
+        return f"about {5.0 * round(left_s / 5.0):.0f} s left"
+    return "some seconds left" if left_s > 0.0 else "longer than predicted"

@@ -35,17 +35,15 @@ class StageTask:
     stage: Stage
     context: Context
     key: str
-    turn: str
     done: bool = False
 
     def __call__(self, folder: Path) -> dict[str, Any]:
         """Run into a folder; returns the record."""
-        self.context.progress(f"{self.turn} …")
+        self.context.progress(f"{self.stage.name} …")
         start = time.perf_counter()
         self.stage.run(self.context, folder)
         seconds = time.perf_counter() - start
         self.done = True
-        self.context.progress(f"{self.turn} {seconds:.1f} s")
         return {
             "stage": self.stage.name,
             "seconds": round(seconds, 3),
@@ -58,7 +56,7 @@ class StageTask:
 
     def _waiting(self) -> None:
         """Report that another process computes the same result."""
-        self.context.progress(f"{self.turn}: waiting for another build that is making it")
+        self.context.progress(f"{self.stage.name}: waiting for another build that is making it")
 
 
 def publish_in_worker(_: None, task: StageTask) -> tuple[Path, bool] | Exception:
@@ -234,7 +232,6 @@ class StageRun:
             stage=stage,
             context=replace(context, folders=needed, array_names=stage.arrays, progress=progress),
             key=self._keys[stage.name],
-            turn=f"[{self.stages.index(stage) + 1}/{len(self.stages)}] {stage.name}",
         )
 
     def _take_cached(self, stage: Stage) -> bool:
@@ -263,6 +260,8 @@ class StageRun:
             return
         self.context.folders[stage.name] = folder
         self.timing_s[stage.name] = float(cache.record(folder)["seconds"])
+        if ran:
+            self._report(f"{stage.name} {self.timing_s[stage.name]:.1f} s", counted=True)
         reason = stage.gate(self.context) if stage.gate and not self.force else ""
         if reason:
             raise GateError(
@@ -293,10 +292,17 @@ class StageRun:
             ranks[stage.name] = self._seconds(stage.name) + max(later, default=0.0)
         return ranks
 
-    def _report(self, text: str) -> None:
-        """Report progress; with the time left where a stage starts or ends."""
-        if text.startswith("[") and self._costs:
-            text += f" (about {max(5.0 * round(self.left_s() / 5.0), 5.0):.0f} s left)"
+    def _report(self, text: str, *, counted: bool = False) -> None:
+        """Report progress; where a stage starts or ends, with those that have ended and the time.
+
+        Stages end in another order than theirs where they run side by side.
+        """
+        if counted or text.removesuffix(" …") in self._begun:
+            ended = sum(stage.name in self.context.folders for stage in self.stages)
+            text = f"[{ended}/{len(self.stages)}] {text}"
+            if self._costs and ended < len(self.stages):
+                left_s = max(5.0 * round(self.left_s() / 5.0), 5.0)
+                text += f" (about {left_s:.0f} s left)"
         self.context.progress(text)
 
     def left_s(self) -> float:
@@ -307,7 +313,8 @@ class StageRun:
         scale = (sum(self.timing_s.values()) + right) / (predicted + right) if right else 1.0
         now, clock = time.monotonic(), 0.0
         ends = {
-            name: max(scale * self._seconds(name) - (now - begun), 0.0)
+            # One that takes longer than predicted is not about to end.
+            name: max(scale * self._seconds(name) - (now - begun), 0.1 * (now - begun))
             for name, begun in self._begun.items()
         }
         ended = set(self.context.folders)

@@ -141,8 +141,8 @@ class BuildRunner:
     def _add_line(self, line: str) -> None:
         if line and len(self._lines) < 2000:
             self._lines.append(line)
-        # A stage's number, their count, its name, a figure behind it if it has ended, and the time
-        # left where the build predicts it.
+        # Stages that have ended, their count, a stage's name, a figure behind it if it is one of
+        # these, and the time left where the build predicts it.
         stage = re.match(r"\[(\d+)/(\d+)\] ([a-z-]+)( \d)?(?:.*\(about (\d+) s left\)$)?", line)
         if not stage:
             return
@@ -150,7 +150,7 @@ class BuildRunner:
         self._stages = [name for name in self._stages if name != stage[3]] + [stage[3]] * (
             not ended
         )
-        done = (int(stage[1]) - (not ended)) / max(int(stage[2]), 1)
+        done = int(stage[1]) / max(int(stage[2]), 1)
         if stage[5]:
             elapsed_s = time.monotonic() - self._start_s
             done = elapsed_s / (elapsed_s + float(stage[5]))

@@ -35,8 +35,8 @@ PROGRAM = """
 import sys, time
 from pathlib import Path
 out = Path(sys.argv[sys.argv.index("--out") + 1])
-print("[1/2] views …", flush=True); print("[1/2] views 0.1 s", flush=True)
-print("[2/2] report …", flush=True)
+print("[0/2] views …", flush=True); print("[1/2] views 0.1 s", flush=True)
+print("[1/2] report …", flush=True)
 mode = Path("mode").read_text()
 Path("pid").write_text(str(__import__("os").getpid()))
 Path("given.toml").write_text(Path(sys.argv[4]).read_text())

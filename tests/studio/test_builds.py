@@ -76,7 +76,7 @@ def test_a_build_is_followed_to_its_report(client: Client, program: Path, data: 
     assert states[-1]["state"] == "done"
     assert states[-1]["done"] == 1.0
     lines = [line for state in states for line in state["lines"]]
-    assert lines == ["[1/2] views …", "[1/2] views 0.1 s", "[2/2] report …"]
+    assert lines == ["[0/2] views …", "[1/2] views 0.1 s", "[1/2] report …"]
     given = (program / "given.toml").read_text()
     assert "rows = 7" in given
     status, heads, page = client.ask("GET", f"files/{states[-1]['report']}")
@@ -89,13 +89,13 @@ def test_stages_side_by_side_are_shown_together_and_the_bar_never_goes_back(tmp_
     runner._state, runner._start_s = {"done": 0.0}, time.monotonic() - 30.0
     shown = []
     for line in (
-        "[4/5] frames … (about 90 s left)",
-        "[1/5] shell … (about 90 s left)",
+        "[0/5] frames … (about 90 s left)",
+        "[0/5] shell … (about 90 s left)",
         "frames: 3 of 80",
         "[1/5] shell 2.0 s (about 120 s left)",
-        "[2/5] step …",
-        "[4/5] frames 9.1 s (about 10 s left)",
-        "[2/5] step 0.4 s",
+        "[1/5] step …",
+        "[2/5] frames 9.1 s (about 10 s left)",
+        "[3/5] step 0.4 s",
     ):
         runner._add_line(line)
         shown.append((runner.state()["done"], runner.state()["stage"]))
