@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, check_out, say
-from phytac_design.cli.output import names_of, print_json, resumable
+from phytac_design.cli.output import names_of, next_step, print_json, resumable
 
 
 def advise(
@@ -61,7 +61,7 @@ def advise(
             )
             facts, text = report.refined_dict(done), report.refined_text(done)
             path = report.write_refined(done, out or Path("exports") / f"{loaded.name}-polished")
-            text += f"\nwritten to {path}"
+            text, after = f"{text}\nwritten to {path}", f"phytac check {path}"
         else:
             found = advising.advise(
                 loaded, chosen, only=names, checks=checks, seed=seed, progress=say
@@ -69,7 +69,9 @@ def advise(
             facts, text = report.as_dict(found), report.text(found)
             if out:
                 text += f"\nwritten to {report.write_advice(found, out)}"
+            after = report.next_words(found, design, out)
     if as_json:
         print_json(facts)
-    else:
-        typer.echo(text)
+        return
+    typer.echo(text)
+    next_step(after)

@@ -40,3 +40,8 @@ SHELL_MATERIALS = (
     ShellMaterial(label="elastic resin, Shore 50A", modulus_MPa=2.5, poisson=0.48, strain_max=0.2),
 )
 """The stiffest first."""
+
+
+def material_of(modulus_MPa: float) -> ShellMaterial | None:
+    """The material of this list with a modulus; None if none has it."""
+    return next((one for one in SHELL_MATERIALS if one.modulus_MPa == modulus_MPa), None)

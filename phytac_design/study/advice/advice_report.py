@@ -8,8 +8,14 @@ from typing import Any
 from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import to_toml
 from phytac_design.study.advice.advise import Advice
-from phytac_design.study.advice.design_changes import GOALS, SWITCHES, THRESHOLDS, Change
-from phytac_design.study.advice.design_evaluation import FIGURES, FORCES
+from phytac_design.study.advice.design_changes import (
+    GOALS,
+    STIFFNESS,
+    SWITCHES,
+    THRESHOLDS,
+    Change,
+)
+from phytac_design.study.advice.design_evaluation import FIGURES, FORCES, faults_of
 from phytac_design.study.advice.local_model import Sensitivity
 from phytac_design.study.advice.refinement import RefinedDesign
 from phytac_design.study.search.surrogate import FORCE_N
@@ -76,6 +82,7 @@ def text(advice: Advice) -> str:
     """Report for a terminal."""
     lines = [f"{advice.design.name}: {_state(advice)}"]
     lines += [f"  rejected by `phytac check`: {fault}" for fault in advice.switch_faults]
+    lines += [f"  {advice.stiff}"] if advice.stiff else []
     if advice.slopes:
         lines += ["", "Effect of a step:", *_slope_lines(advice.slopes)]
     if advice.rows:
@@ -143,6 +150,12 @@ def _piece(change: Change) -> str:
             f"{change.achieved['switch_unreadable']:.0f} switches cannot be read then, "
             f"{gain:.0%} fewer"
         )
+    elif goal == STIFFNESS:
+        share = change.predicted["force_max_sd_share"]
+        words = (
+            f"the largest force is read to about {share:.1%} (closed form), and "
+            f"{FIGURES['force_middle_N'].doc} {100.0 * gain:.1f} % finer"
+        )
     elif goal in FORCES:
         finer, expected = 100.0 * gain, 100.0 * predicted
         words = f"{FIGURES[goal].doc} {finer:.1f} % finer (predicted {expected:.1f} %)"
@@ -156,6 +169,20 @@ def _piece(change: Change) -> str:
         )
     costs = f"; costs: {', '.join(change.costs)}" if change.costs else ""
     return f"{change.words}: {words}{costs}"
+
+
+def next_words(advice: Advice, name: str, folder: Path | None) -> str:
+    """What to run after advice for the design ``name``, which was written to ``folder`` or not."""
+    if advice.pieces:
+        return (
+            f"phytac check {folder / 'advice_1.toml'}"
+            if folder
+            else f"phytac advise {name} --out advice writes the changed designs (evaluated already)"
+        )
+    if advice.refused:
+        return f"correct what the rule names, then phytac check {name}"
+    wrong = advice.switch_faults or faults_of(advice.figures)
+    return f"phytac check {name}" if wrong else f"phytac build {name}"
 
 
 def refined_text(done: RefinedDesign) -> str:

@@ -16,6 +16,7 @@ from phytac_design.study.advice.design_changes import (
     gain_of,
     gain_words,
     least_gain,
+    limits_of,
     rank_of,
     repairs,
     rule_repairs,
@@ -38,6 +39,7 @@ from phytac_design.study.advice.local_model import (
     row_sensitivities,
     sensitivities,
 )
+from phytac_design.study.advice.stiffness_changes import stiffness_changes, stiffness_fault
 from phytac_design.study.advice.switch_changes import readable_changes, threshold_changes
 from phytac_design.workflows.design_check import threshold_fault, unreadable_fault
 from phytac_design.workflows.switch_feasibility import check_thresholds
@@ -60,6 +62,8 @@ class Advice:
         What helps, the most first; and what does not.
     switch_faults : list of str
         Why ``phytac check`` rejects its switches, if it does.
+    stiff : str
+        That the shell is too stiff for the largest force, if it is.
     """
 
     design: Design
@@ -70,6 +74,7 @@ class Advice:
     pieces: list[Change]
     tried: list[Change]
     switch_faults: list[str] = field(default_factory=list)
+    stiff: str = ""
 
 
 def advise(
@@ -127,6 +132,9 @@ def advise(
             design, blind, count, seed=seed, castable=castable, progress=progress
         ):
             tested.append(one if one.reason else tester.test(one))
+    stiff = stiffness_fault(design)
+    if stiff and not only:
+        tested += [one if one.reason else tester.test(one) for one in stiffness_changes(design)]
     if base.faults:
         tested += tester.test_all(repairs(model, [*single, *variables], progress), checks)
     else:
@@ -142,6 +150,7 @@ def advise(
         pieces=sorted(pieces, key=lambda one: -rank_of(one.goal, one.gain)),
         tried=[one for one in tested if one.reason],
         switch_faults=[str(fault) for fault in (unreadable, unfit) if fault],
+        stiff=stiff,
     )
 
 
@@ -195,7 +204,7 @@ class ChangeTester:
                 same = as_explicit(self.sensor)
                 self.listed = evaluate_design(same, self.accuracy, seed=self.seed).figures
             before = self.listed
-        reason = broken_margin(before, after)
+        reason = broken_margin(before, after, limits_of(design))
         gain, costs = float(not reason), tuple[str, ...]()
         if change.goal != "rules":
             gain, costs = gain_of(change.goal, before, after), costs_of(before, after)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from phytac_design.design.shell_materials import material_of
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.optics.loaded_visibility import FUSED_PX, scene_state
@@ -27,9 +28,10 @@ GOALS = ("force_middle_N", "force_worst_N", "gap_px", "load_gap_px")
 """Goals of a design without faults; gaps only while they are below ``WANTED_GAP_px``. Others are
 ``faults`` (hidden, fused or disturbed markers) and ``rules`` (a rule rejects the design)."""
 WANTED_GAP_px = 8.0
-SWITCHES, THRESHOLDS = "switches", "thresholds"
-"""Goals of switches: the camera reads more of them; bowls have their thresholds."""
-REPAIRS = {"faults", "rules", SWITCHES, THRESHOLDS}
+SWITCHES, THRESHOLDS, STIFFNESS = "switches", "thresholds", "stiffness"
+"""Other goals: the camera reads more switches; bowls have their thresholds; the shell is soft
+enough for the largest force."""
+REPAIRS = {"faults", "rules", SWITCHES, THRESHOLDS, STIFFNESS}
 """Goals that repair a design; they come before all others."""
 
 
@@ -89,8 +91,9 @@ def gain_of(goal: str, before: Mapping[str, float], after: Mapping[str, float]) 
         return 1.0 - faults_of(after) / max(faults_of(before), 1)
     if goal == SWITCHES:
         return 1.0 - after["switch_unreadable"] / max(before["switch_unreadable"], 1)
-    if goal in FORCES:
-        return 1.0 - after[goal] / before[goal]
+    if goal in {*FORCES, STIFFNESS}:
+        name = "force_middle_N" if goal == STIFFNESS else goal
+        return 1.0 - after[name] / before[name]
     return after[goal] - before[goal]
 
 
@@ -160,7 +163,7 @@ def _largest(base: EvaluatedDesign, slope: Sensitivity, goal: str, sign: float) 
             try:
                 design = slope.variable.moved(base.design, amount)
                 strain = strain_of(check_design(design))
-                why = broken_margin(base.figures, {"strain": strain})
+                why = broken_margin(base.figures, {"strain": strain}, limits_of(design))
             except PhytacError as error:
                 why = str(error)
         found = replace(change, reason=why)
@@ -169,9 +172,19 @@ def _largest(base: EvaluatedDesign, slope: Sensitivity, goal: str, sign: float) 
     return found or change
 
 
-def broken_margin(before: Mapping[str, float], after: Mapping[str, float]) -> str:
+def limits_of(design: Design) -> dict[str, float]:
+    """Margins of a design: known materials bear a strain of their own."""
+    material = material_of(design.material.modulus_MPa)
+    return LIMITS | ({"strain": material.strain_max} if material else {})
+
+
+def broken_margin(
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    limits: Mapping[str, float] = LIMITS,
+) -> str:
     """A margin that a change breaks, in words; what was outside before may stay as it was."""
-    for name, limit in LIMITS.items():
+    for name, limit in limits.items():
         if name not in after:
             continue
         sign = 1.0 if FIGURES[name].less else -1.0
@@ -202,7 +215,7 @@ def costs_of(before: Mapping[str, float], after: Mapping[str, float]) -> tuple[s
 
 def gain_words(goal: str, gain: float) -> str:
     """A gain, for a reader."""
-    if goal in FORCES:
+    if goal in {*FORCES, STIFFNESS}:
         return f"force {100.0 * gain:.1f} % finer"
     if goal == SWITCHES:
         return f"{gain:+.0%} of the unreadable switches read"

@@ -86,6 +86,20 @@ class DesignVariable:
         return f"{self.name} {self.value:.5g} → {self.value + amount:.5g}{unit}"
 
 
+def together(fields: Fields, text: str) -> DesignVariable:
+    """Fields that change together, once; ``text`` is the change for a reader."""
+    return DesignVariable(
+        name=", ".join(fields),
+        unit="",
+        value=0.0,
+        step=1.0,
+        reach=1.0,
+        why="tried as a whole",
+        fields=lambda _: fields,
+        text=text,
+    )
+
+
 def with_fields(design: Design, fields: Fields) -> Design:
     """Design with other values of fields.
 

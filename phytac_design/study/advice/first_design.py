@@ -7,7 +7,7 @@ every rule is kept and the camera sees every marker.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -187,7 +187,8 @@ def predicted_sd_N(design: Design) -> float:
 
 def _predicted(design: Design) -> Predicted:
     sensor = check_design(design)
-    return predict(sensor, sensor.cameras, np.ones(sensor.markers.count, dtype=np.bool_))
+    seen = np.ones(sensor.markers.count, dtype=np.bool_)
+    return predict(sensor, sensor.cameras, seen, force_N=design.training.force_max_N)
 
 
 def _with_shell(design: Design, materials: Sequence[ShellMaterial]) -> Design:
@@ -198,19 +199,47 @@ def _with_shell(design: Design, materials: Sequence[ShellMaterial]) -> Design:
     """
     tried = []
     for material in materials:
-        fields = {"modulus_MPa": material.modulus_MPa, "poisson": material.poisson}
-        for thickness in WALLS_mm:
-            own = with_fields(
-                design,
-                {f"material.{name}": value for name, value in fields.items()}
-                | {"wall.thickness_mm": thickness},
-            )
-            found = _predicted(own)
-            deepest = found.dent_mm.max() / thickness
-            if found.strain.max() <= material.strain_max and deepest <= DENT_MAX:
-                break
-        error = float(np.median(found.bound.force_N)) / design.training.force_max_N
-        if error <= ERROR_MAX:
-            return own
-        tried.append((error, own))
-    return min(tried, key=lambda one: one[0])[1]
+        shell = with_thinnest_wall(design, material, WALLS_mm)
+        if shell.error <= ERROR_MAX:
+            return shell.design
+        tried.append(shell)
+    return min(tried, key=lambda one: one.error).design
+
+
+class PredictedShell(NamedTuple):
+    """A design with another shell, whether that bears the largest force, and the force's error.
+
+    ``error`` is the predicted standard deviation of the largest force, over that force.
+    """
+
+    design: Design
+    bears: bool
+    error: float
+
+
+def with_thinnest_wall(
+    design: Design, material: ShellMaterial, walls_mm: Sequence[float]
+) -> PredictedShell:
+    """The design with the first of some walls that bears its largest force, or the last of them.
+
+    Parameters
+    ----------
+    walls_mm : sequence of float
+        Thicknesses, the thinnest first; at least one.
+
+    Raises
+    ------
+    DesignError
+        If a rule rejects a wall that is tried.
+    """
+    shell = {"modulus_MPa": material.modulus_MPa, "poisson": material.poisson}
+    fields = {f"material.{name}": value for name, value in shell.items()}
+    for thickness_mm in walls_mm:
+        own = with_fields(design, fields | {"wall.thickness_mm": thickness_mm})
+        found = _predicted(own)
+        deepest = found.dent_mm.max() / thickness_mm
+        bears = bool(found.strain.max() <= material.strain_max and deepest <= DENT_MAX)
+        if bears:
+            break
+    error = float(np.median(found.bound.force_N)) / design.training.force_max_N
+    return PredictedShell(own, bears, error)

@@ -7,7 +7,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.study.advice.design_changes import SWITCHES, THRESHOLDS, Change
-from phytac_design.study.advice.design_variables import DesignVariable, with_fields
+from phytac_design.study.advice.design_variables import together, with_fields
 from phytac_design.study.advice.quick_repair import READABLE_SHARE, readable_switches
 from phytac_design.workflows.switch_feasibility import (
     check_thresholds,
@@ -43,7 +43,7 @@ def readable_changes(
     tried = readable_switches(design, fits=fits, seed=seed, seconds=90.0, progress=progress)
     return [
         Change(
-            _several(one.fields, one.words),
+            together(one.fields, one.words),
             1.0,
             SWITCHES,
             {"switch_unreadable": one.after},
@@ -80,7 +80,7 @@ def threshold_changes(
             reason = f"breaks a rule: {error}"
         out.append(
             Change(
-                _several(fields, words),
+                together(fields, words),
                 1.0,
                 THRESHOLDS,
                 {},
@@ -109,17 +109,3 @@ def _threshold_fields(design: Design, progress: Callable[[str], None]) -> Iterat
 def _shown(value: Any) -> str:
     """Value of a field in words."""
     return value if isinstance(value, str) else f"{value:g}"
-
-
-def _several(fields: dict[str, Any], words: str) -> DesignVariable:
-    """Fields that change together, once."""
-    return DesignVariable(
-        name=", ".join(fields),
-        unit="",
-        value=0.0,
-        step=1.0,
-        reach=1.0,
-        why="tried as a whole",
-        fields=lambda _: fields,
-        text=words,
-    )

@@ -32,10 +32,10 @@ from phytac_design.study.advice.design_variables import (
     as_explicit,
     named_rows,
     row_variables,
+    together,
     variables_of,
     with_fields,
 )
-from phytac_design.study.advice.switch_changes import _several
 from phytac_design.workflows import design_check, switch_feasibility
 from phytac_shapes.errors import DesignError
 from tests.refusals import refused
@@ -126,9 +126,9 @@ def test_faults_of_switches_are_those_of_the_check(monkeypatch: pytest.MonkeyPat
         advising,
         "readable_changes",
         lambda *_, **__: [
-            Change(variable=_several(deeper, "deeper"), amount=1.0, goal=SWITCHES, predicted={},
+            Change(variable=together(deeper, "deeper"), amount=1.0, goal=SWITCHES, predicted={},
                    predicted_gain=0.5),
-            Change(variable=_several({}, "none"), amount=1.0, goal=SWITCHES, predicted={},
+            Change(variable=together({}, "none"), amount=1.0, goal=SWITCHES, predicted={},
                    predicted_gain=0.0, reason="40 of 40 remain so"),
         ],
     )  # fmt: skip
