@@ -2,15 +2,18 @@
 
 import contextlib
 import json
+import re
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 
-from phytac_design.cli import check_command
+from phytac_design.cli import check_command, output
 from phytac_design.design.design_file import parse_design, to_toml
 from phytac_design.design.spec import Design
 from phytac_design.design.unit_hints import unit_hints
@@ -222,6 +225,10 @@ def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
     assert after == "next: phytac build mine.toml"
     assert "field of view 107° x 90°" in good.stdout
     assert "(needs more than 2)" in good.stdout
+    # The red of one tip, and what that tip needs.
+    (red,) = [line for line in good.stdout.splitlines() if "red" in line and "(px)" in line]
+    assert re.search(r"tip hardest to read, row \d+, column \d+: red \(px\) +\d+ when out", red)
+    assert "rendering what the camera sees of 112 markers" in good.stderr
     bad = run(**hidden())
     assert bad.returncode == DesignError.exit_code
     last = bad.stdout.splitlines()[-1]
@@ -274,6 +281,32 @@ def test_no_repair_is_looked_for_without_end_or_for_a_wrong_unit(
         check_command.check(str(path))
     assert looked == [True]
     assert "looks like cm" in capsys.readouterr().err
+
+
+def test_the_tip_that_is_hardest_to_read_is_one_tip() -> None:
+    """Neither that with the least red when out nor that with the most at rest."""
+    seen = seen_at_rest(check_design(small(camera=READING)))
+    n = len(seen.red_on_px)
+    rest, on = np.zeros(n, dtype=np.int64), np.full(n, 400)
+    rest[3], on[5], rest[7], on[7] = 200, 90, 150, 150
+    tip = replace(seen, red_rest_px=rest, red_on_px=on).weakest_tip()
+    assert tip == 7
+    report = checkup(small(camera=READING))
+    found, figures = report["weakest_tip"], report["visibility"]
+    assert found["on_px"] == seen.red_on_px[found["marker"]] >= figures["min_red_on_px"]
+    assert found["needed_px"] == pytest.approx(1.3 * found["rest_px"] + 12)
+    assert "weakest_tip" not in checkup(small(receptor={"diameter_hole_mm": 0.0}, camera=COARSE))
+
+
+def test_lines_of_quick_steps_come_seldom(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    times = iter([0.0, 1.0, 2.9, 3.1, 4.0, 7.0])
+    report = output.seldom(3.0)
+    monkeypatch.setattr("phytac_design.cli.output.time.monotonic", lambda: next(times))
+    for step in range(6):
+        report(f"step {step}")
+    assert capsys.readouterr().err.split("\n")[:-1] == ["step 0", "step 3", "step 5"]
 
 
 def test_a_rule_that_advice_satisfies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

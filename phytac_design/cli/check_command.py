@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, SeedOption, say
-from phytac_design.cli.output import TimeLimitError, next_step, print_json, resumable, time_limit
+from phytac_design.cli.output import (
+    TimeLimitError,
+    next_step,
+    print_json,
+    resumable,
+    seldom,
+    time_limit,
+)
 from phytac_shapes.errors import DesignError, PhytacError
 
 if TYPE_CHECKING:
@@ -91,6 +98,7 @@ def _print_faults(design: "Design", first: DesignError, *, as_json: bool) -> Non
 
 
 def _print_check(report: dict[str, Any]) -> None:
+    from phytac_decoder.vision.switch_detection import RED_RATIO_MIN
     from phytac_design.optics.loaded_visibility import FUSED_PX
     from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
     from phytac_design.report.figure_names import name_of
@@ -120,9 +128,16 @@ def _print_check(report: dict[str, Any]) -> None:
         "min_gap_px": f"needs more than {FUSED_PX:g}",
         "switch_unreadable": "should be 0; by exact pixels, a build counts them in frames",
     }
-    for key, value in seen.items():
+    # Of two different tips, so that a reader cannot compare them.
+    for key in [key for key in seen if key not in {"min_red_on_px", "max_red_rest_px"}]:
         need = f"  ({needs[key]})" if key in needs else ""
-        typer.echo(f"  {name_of(f'visibility.{key}'):48s} {value:.4g}{need}")
+        typer.echo(f"  {name_of(f'visibility.{key}'):48s} {seen[key]:.4g}{need}")
+    if tip := report.get("weakest_tip"):
+        label = f"tip hardest to read, {tip['name'].strip('()')}: red (px)"
+        typer.echo(
+            f"  {label:48s} {tip['on_px']} when out  (needs {tip['needed_px']:g}: "
+            f"{RED_RATIO_MIN:g} times its {tip['rest_px']} at rest, and {PIXELS_MIN} more)"
+        )
     _print_effort(report["effort"])
 
 
@@ -203,7 +218,9 @@ def _suggest_tips(design: "Design", report: dict[str, Any], *, seed: int) -> Non
     with resumable("stopped looking"):
         try:
             with time_limit(2.0 * LOOK_S):
-                found = readable_switches(design, fits=check_thresholds, seed=seed, seconds=LOOK_S)
+                found = readable_switches(
+                    design, fits=check_thresholds, seed=seed, seconds=LOOK_S, progress=seldom()
+                )
         except TimeLimitError:
             pass
     best = found[0] if found else None
@@ -232,7 +249,7 @@ def _suggest_repair(name: str, *, refused: bool, seed: int) -> None:
     with resumable("stopped looking"):
         try:
             with time_limit(LOOK_S):
-                found = quick_repair(design, seed=seed)
+                found = quick_repair(design, seed=seed, progress=seldom())
                 words = found.words if found else ""
         except PhytacError:
             # Such as markers that cannot even be placed.

@@ -3,7 +3,8 @@
 import json
 import signal
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -27,6 +28,20 @@ def names_of(text: str) -> list[str]:
 def next_step(text: str) -> None:
     """Last line of a command: what to run or do now."""
     typer.echo(f"next: {text}")
+
+
+def seldom(seconds: float = 3.0) -> Callable[[str], None]:
+    """Progress of quick steps: lines that come sooner after another one are left out."""
+    last = float("-inf")
+
+    def report(text: str) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= seconds:
+            last = now
+            say(text)
+
+    return report
 
 
 class TimeLimitError(BaseException):

@@ -107,7 +107,16 @@ class Visibility:
         A camera that looks straight into a hole sees the resting tip too: such a switch cannot be
         read at any threshold.
         """
-        return np.asarray(self.red_on_px < RED_RATIO_MIN * self.red_rest_px + PIXELS_MIN)
+        return np.asarray(self.red_on_px < self.red_needed_px)
+
+    @property
+    def red_needed_px(self) -> FloatArray:
+        """Red that each tip must show when it is out, (n,)."""
+        return np.asarray(RED_RATIO_MIN * self.red_rest_px + PIXELS_MIN)
+
+    def weakest_tip(self) -> int:
+        """Marker whose tip shows least red, over what it must show, when it is out."""
+        return int(np.argmin(self.red_on_px / self.red_needed_px))
 
     def summary(self, *, switches: bool = True) -> dict[str, float]:
         """Figures of the report: numbers of failures, and the minima of visibility and gaps.

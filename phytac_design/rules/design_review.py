@@ -1,6 +1,7 @@
 """``phytac check``: rules, visibility and density of a design, with no solid and no mesh."""
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -32,8 +33,13 @@ from phytac_design.rules.check import check_design
 from phytac_shapes.arrays import BoolArray, IntArray
 
 
-def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
+def checkup(
+    design: Design, *, seed: int = 0, progress: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
     """Figures of the report that need only layout and camera.
+
+    ``weakest_tip`` (of a sensor with switches) has the red of one tip, at rest and out, and what it
+    needs; the minimum and the maximum in ``visibility`` are of different tips.
 
     Raises
     ------
@@ -45,6 +51,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
     surface, markers = sensor.surface, sensor.markers
     cameras = sensor.cameras
     rng = np.random.default_rng(seed)
+    progress(f"rendering what the camera sees of {markers.count} markers")
     each = [check_visibility(sensor, rng=rng, camera=camera) for camera in cameras]
     seen, best = best_of(each)
     density = density_of(surface, markers)
@@ -72,6 +79,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         },
         "colours": check_paints(design).summary(),
         "visibility": summary,
+        **({"weakest_tip": _weakest_tip(markers, seen)} if design.has_switches else {}),
         "occluded_markers": np.flatnonzero(seen.occluded).tolist(),
         "fused_markers": np.flatnonzero(seen.fused).tolist(),
         "clear": summary["occluded"] == 0 and summary["fused"] == 0 and not marks,
@@ -100,6 +108,18 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         ],
         "effort": effort_of(sensor).as_dict(),
         "seconds": time.perf_counter() - start,
+    }
+
+
+def _weakest_tip(markers: Markers, seen: Visibility) -> dict[str, Any]:
+    """Red pixels of the switch that is hardest to read."""
+    tip = seen.weakest_tip()
+    return {
+        "marker": tip,
+        "name": markers.name(tip),
+        "rest_px": int(seen.red_rest_px[tip]),
+        "on_px": int(seen.red_on_px[tip]),
+        "needed_px": float(seen.red_needed_px[tip]),
     }
 
 

@@ -30,7 +30,7 @@ def full_check(
     DesignError
         If the design cannot be printed or seen at all.
     """
-    report = checkup(design, seed=seed)
+    report = checkup(design, seed=seed, progress=progress)
     report["visible"] = report["clear"]
     blind = report["visibility"].get("switch_unreadable", 0)
     faults = [

@@ -50,6 +50,7 @@ def check_thresholds(design: Design, *, progress: Callable[[str], None] = lambda
             continue
 
         def solve(wanted_N: float = threshold_N) -> dict[str, Any]:
+            progress(f"pressing bowls for a threshold of {wanted_N:g} N (some seconds)")
             far = far_too_high(wanted_N, rubber, space)
             return {"far": far, "misfit": "" if far else misfit(wanted_N, rubber, space)}
 
