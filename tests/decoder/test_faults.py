@@ -12,10 +12,12 @@ from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame
 from phytac_decoder.pipeline.fault_detection import FaultDetector
+from phytac_decoder.pipeline.frame_reading import read as read_frame
 from phytac_decoder.vision.matching import fill_from_neighbours, match_markers
 from phytac_decoder.vision.segmentation import Blobs
 from phytac_decoder.vision.switch_detection import TipModel
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
+from phytac_shapes.discs import disc_overlap_share
 from tests.decoder import flat_sensor
 from tests.decoder.test_camera_motion import motion as camera_table
 from tests.decoder.test_camera_motion import true_shift
@@ -425,3 +427,66 @@ def test_tables_are_not_asked_about_many_markers() -> None:
         assert len(alone.unexplained()[0]) > 2
     assert len(found) > 2
     assert not asked.called
+
+
+RADIUS_MM = 9.0
+PLACES = [np.array([x, y, 0.0]) for x in (16.0, 44.0) for y in (16.0, 44.0)]
+
+
+def tripped(forces_N: dict[int, float]) -> IntArray:
+    """Switches (m,) that discs of ``RADIUS_MM`` at some of ``PLACES`` turn on, by geometry."""
+    carried = np.zeros(len(flat_sensor.MARKERS))
+    for place, force_N in forces_N.items():
+        gap_mm = np.linalg.norm(flat_sensor.MARKERS - PLACES[place], axis=1)
+        carried += force_N * disc_overlap_share(gap_mm, RADIUS_MM, 2.3)
+    return np.flatnonzero(carried > 0.5)
+
+
+def wide_frame(forces_N: dict[int, float], koi: IntArray) -> FrameMeasurement:
+    """What a frame shows under those discs where ``koi`` read as on."""
+    moments = np.array([1.0, 0.0, 1.0]) * RADIUS_MM**2 / 4.0
+    shift = np.sum(
+        [flat_sensor.shifts(PLACES[k], force, moments) for k, force in forces_N.items()], axis=0
+    )
+    noise = np.random.default_rng(3).normal(0.0, 0.02, shift.shape)
+    found = np.ones(len(flat_sensor.MARKERS), dtype=np.bool_)
+    return FrameMeasurement(koi=koi, shift_px=(shift + noise).reshape(-1, 2), found=found)
+
+
+def about_many(bundle: Bundle, measured: FrameMeasurement, estimator: str) -> list[str]:
+    """Warnings about the number of switches that are on."""
+    return [text for text in read_frame(bundle, measured, estimator).warnings if " of 100" in text]
+
+
+FOUR = dict.fromkeys(range(4), 22.0)
+
+
+@pytest.mark.parametrize("estimator", ["auto", "koi_inverse"])
+def test_wide_contacts_may_turn_on_many_switches(estimator: str) -> None:
+    """A third of all, which few narrow contacts never do."""
+    koi = tripped(FOUR)
+    assert len(koi) > 0.3 * len(flat_sensor.MARKERS)
+    assert about_many(flat_bundle(), wide_frame(FOUR, koi), estimator) == []
+
+
+@pytest.mark.parametrize("estimator", ["auto", "koi_inverse"])
+def test_switches_that_no_contact_reaches_are_told_of(estimator: str) -> None:
+    """Red light: a patch of switches, or scattered ones, read as on beside a real contact."""
+    bundle, one = flat_bundle(), {0: 10.0}
+    scattered = np.random.default_rng(0).choice(len(flat_sensor.MARKERS), 35, replace=False)
+    for false in (np.arange(60, 100), scattered):
+        koi = np.union1d(tripped(one), false)
+        (text,) = about_many(bundle, wide_frame(one, koi), estimator)
+        assert text.startswith(f"{len(koi)} of 100 switches read as on, and no contact reaches")
+        beyond = int(text.split("reaches ")[1].split()[0])
+        assert 0.6 * len(false) < beyond <= len(false)
+    every = np.arange(len(flat_sensor.MARKERS))
+    (text,) = about_many(bundle, wide_frame(FOUR, every), estimator)
+    assert "100 of 100 switches read as on, more than contacts turn on" in text
+
+
+def test_without_tables_many_switches_are_doubtful() -> None:
+    bundle = flat_bundle()
+    older = replace(bundle, model=replace(bundle.model, locator=None))
+    (text,) = about_many(older, wide_frame(FOUR, tripped(FOUR)), "koi_inverse")
+    assert "check for red light" in text

@@ -12,7 +12,8 @@ from phytac_decoder.estimation.locator import SETTINGS as LOCATOR_SETTINGS
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_words
 from phytac_decoder.mechanics.response_table import ResponseTable
-from phytac_decoder.pipeline.fault_detection import FaultDetector
+from phytac_decoder.pipeline.fault_detection import SETTINGS as FAULT_SETTINGS
+from phytac_decoder.pipeline.fault_detection import FaultDetector, unreached_switches
 from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers
 from phytac_decoder.vision.segmentation import Blobs, check_image, segment_in_its_light
 from phytac_decoder.vision.switch_detection import HALF_OUT_REPORTED, read_switches
@@ -133,9 +134,26 @@ class FrameMeasurement:
                 "more red than at rest: other switches may be read wrongly; check for red light, "
                 "or take a new rest frame if the light has changed"
             )
-        if len(self.koi) > 0.3 * len(self.found):
-            out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
+        if not moved:
+            out += self._too_many_switches(bundle, found)
         return out
+
+    def _too_many_switches(self, bundle: Bundle, found: ContactDetection | None) -> list[str]:
+        """More switches that are on than contacts can turn on."""
+        count, model = len(self.koi), bundle.model
+        if count <= FAULT_SETTINGS.many_share * len(self.found):
+            return []
+        text = f"{count} of {len(self.found)} switches read as on"
+        cause = "check for red light and for something red"
+        every = count >= FAULT_SETTINGS.all_share * bundle.tips.readable.sum()
+        if every or model.locator is None:
+            return [f"{text}, more than contacts turn on together: {cause}"]
+        contacts = found or model.contacts(self.shift_px, self.koi, marked=self.marked)
+        unreached = unreached_switches(bundle, self.koi, contacts)
+        if len(unreached) <= FAULT_SETTINGS.unreached_share * count:
+            return []
+        beyond = f"no contact reaches {len(unreached)} of them ({id_list(unreached)})"
+        return [f"{text}, and {beyond}: {cause}"]
 
     def moved_cameras(self, bundle: Bundle, found: ContactDetection | None) -> list[str]:
         """Return which cameras have moved, or light has changed, too much: one sentence each."""

@@ -15,6 +15,7 @@ from phytac_decoder.estimation.contact_grouping import group_key_nodes
 from phytac_decoder.estimation.locator import SETTINGS as LOCATOR_SETTINGS
 from phytac_decoder.io.bundle import Bundle
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.discs import disc_overlap_share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +46,40 @@ class FaultSettings:
     gives it that force: beside a rim they show 1.7 N as 0 ± 1.5 N."""
     strong_thresholds: float = 10.0
     """A group of switches with so many times its threshold is trusted."""
+    many_share: float = 0.3
+    """Share of the switches from which on those that are on are compared with the contacts."""
+    all_share: float = 0.95
+    """Share of the readable switches that no contacts turn on together: red light does."""
+    unreached_share: float = 0.1
+    """Largest share of the switches that are on which no contact needs to reach. In 28 sound frames
+    of a ø28 mm dome, with 13 to 25 of its 41 switches on, it was 0 in all but one."""
     excused_max: int = 2
     """Largest number of pressed markers that ``auto`` may explain; around a dead switch more
     markers seem pressed, nearly always."""
 
 
 SETTINGS = FaultSettings()
+
+
+def unreached_switches(bundle: Bundle, koi: IntArray, found: ContactDetection) -> IntArray:
+    """Return switches (k,) of those on (m,) that none of the contacts can have turned on.
+
+    A contact's pressure is taken as a disc of any extent from the one that was found to
+    ``reach_radii`` times that, and thresholds scatter. A switch stays on down to its release.
+    """
+    locator = bundle.model.locator
+    if locator is None:
+        return koi[:0]
+    wider = np.array([1.0, np.sqrt(LOCATOR_SETTINGS.reach_radii), LOCATOR_SETTINGS.reach_radii])
+    least_N = SETTINGS.release_share * bundle.threshold_N[koi]
+    least_N = least_N / LOCATOR_SETTINGS.threshold_excess_max
+    reached = np.zeros(len(koi), dtype=np.bool_)
+    for contact in found.contacts:
+        gap_mm = np.linalg.norm(bundle.position_mm[koi] - contact.point_mm, axis=1)
+        radii_mm = contact.radius_mm * wider[:, None]
+        share = disc_overlap_share(gap_mm, radii_mm, locator.footprint_mm).max(axis=0)
+        reached |= contact.force_N * share >= least_N
+    return koi[~reached]
 
 
 class FaultDetector:
