@@ -29,10 +29,10 @@ def colourings_of(context: Context, estimator: str) -> list[Colouring]:
     """
     views, load = context.arrays("views"), context.arrays("underload")
     bound = context.arrays("resolution")
-    force = "10"  # N, of the contact whose bounds are shown
+    force = f"{context.design.training.force_max_N:g}"  # N, of the contact whose bounds are shown
     clipped = f"{GAP_PX:g} px and more alike"
     number, paint, height = base_colourings(context.markers)
-    press = f"any press with {context.design.training.force_max_N:g} N"
+    press = f"any press with {force} N"
     gap, load_gap = (
         np.minimum(values, GAP_PX)
         for values in (views["gap_same_colour_px"], load["least_gap_same_px"])
@@ -61,7 +61,8 @@ def colourings_of(context: Context, estimator: str) -> list[Colouring]:
             f"resolution of {force} N",
             bound[f"force_N_{force}"],
             "N",
-            "smallest standard deviation (Cramér-Rao bound)",
+            f"smallest standard deviation of {force} N, the design's largest force (Cramér-Rao "
+            "bound)",
         ),
         Colouring(
             "bound_along_mm",

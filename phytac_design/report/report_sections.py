@@ -221,6 +221,7 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
     keys = [key for key in names if all(key in row for row in found["bound"].values())]
     head = [names[key].format(along=words.along_short, around=words.around_short) for key in keys]
     order = sorted(found["bound"], key=lambda text: float(text.split()[0]))
+    largest = f"{context.design.training.force_max_N:g}"
     rows = [(force, *(found["bound"][force][key] for key in keys)) for force in order]
     return (
         "<p>Cramér-Rao bound of a single contact, its position and size unknown but for the "
@@ -229,13 +230,13 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
         + page.table(("contact of", *head), rows)
         + page.side_by_side(
             draw.maps(
-                arrays["force_N_10"],
-                "Smallest standard deviation of a force of 10 N",
+                arrays[f"force_N_{largest}"],
+                f"Smallest standard deviation of a force of {largest} N, the design's largest",
                 "N",
                 name="resolution_force",
             ),
             draw.maps(
-                arrays["along_mm_10"],
+                arrays[f"along_mm_{largest}"],
                 f"Smallest standard deviation of its position {words.along}",
                 "mm",
                 name="resolution_along",

@@ -9,6 +9,7 @@ import pytest
 
 from phytac_decoder.io.bundle import load_bundle
 from phytac_design.cli import build_command
+from phytac_design.design.design_file import load_design
 from phytac_design.report.built_sensors import FIGURES, read_builds
 from phytac_design.report.verdict import best_of, decoded
 from phytac_design.stages.build import BuildResult
@@ -51,6 +52,20 @@ def test_the_bound_of_ten_newtons(built: BuildResult, page: str) -> None:
     (build,) = read_builds([built.out])
     compared = {figure.key: figure.of(build.report) for figure in FIGURES}
     assert compared["bound_10N_worst_N"] == report["resolution"]["bound"]["10 N"]["force_N_worst"]
+
+
+def test_maps_are_of_the_largest_force(built: BuildResult, page: str) -> None:
+    report = json.loads((built.out / "report" / "report.json").read_text())
+    force = f"{load_design(str(built.out / 'design.toml')).training.force_max_N:g} N"
+    assert force != "10 N"
+    viewer = json.loads((built.out / "report" / "viewer.json").read_text())
+    (item,) = [one for one in viewer["colourings"] if one["key"] == "bound_N"]
+    assert item["label"] == f"resolution of {force}"
+    assert f"of {force}, the design's largest force" in item["note"]
+    worst = report["resolution"]["bound"][force]["force_N_worst"]
+    assert item["high"] == pytest.approx(worst)
+    assert worst != pytest.approx(report["resolution"]["bound"]["10 N"]["force_N_worst"], rel=1e-3)
+    assert f"Smallest standard deviation of a force of {force}, the design's largest" in page
 
 
 def test_names_of_errors_are_the_same_everywhere(page: str) -> None:
