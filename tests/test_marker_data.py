@@ -138,9 +138,10 @@ def test_what_cannot_be_judged_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
         np.savez(path, **made | {"force": np.ones((32, 3))})
         with refused("marker-data-array"):
             read_marker_data(path, "markers", name)
-    np.savez(path, **made | {"episode_ends": np.array([5, 99])})
-    with refused("marker-data-array"):
-        read_marker_data(path, "markers", "force")
+    for ends in ([5, 99], []):
+        np.savez(path, **made | {"episode_ends": np.array(ends)})
+        with refused("marker-data-array"):
+            read_marker_data(path, "markers", "force")
     made["markers"][3, 0, 0] = np.nan
     del made["episode_ends"]
     np.savez(path, **made)

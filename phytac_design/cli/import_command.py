@@ -118,12 +118,25 @@ def import_(
 def import_markers(
     source: Annotated[
         Path,
-        typer.Argument(help="Zarr (folder, or .zarr.zip) as of FTP-1 and UMI, or an NPZ file."),
+        typer.Argument(
+            help="Zarr (folder, or .zarr.zip) as of FTP-1 and UMI, an NPZ file, or MCAP with ROS 2 "
+            "messages (a file, a bag, or a folder of them)."
+        ),
     ],
     markers: Annotated[
-        str, typer.Option(help="Array of marker displacements or positions, one row per frame.")
+        str,
+        typer.Option(
+            help="Array of marker displacements or positions, one row per frame; of MCAP a topic, "
+            "or TOPIC.FIELD."
+        ),
     ],
-    wrench: Annotated[str, typer.Option(help="Array of measured forces, one row per frame.")],
+    wrench: Annotated[
+        str,
+        typer.Option(
+            help="Array of measured forces, one row per frame; of MCAP a topic, such as one of "
+            "geometry_msgs/WrenchStamped."
+        ),
+    ],
     pad: Annotated[
         int, typer.Option(help="Which pad, of arrays of FTP-1 that hold several.", min=0)
     ] = 0,

@@ -1,4 +1,4 @@
-"""Marker displacements with wrenches of any vision-based sensor, from Zarr or NPZ."""
+"""Marker displacements with wrenches of any vision-based sensor, from Zarr, NPZ or MCAP."""
 
 import zipfile
 from collections.abc import Mapping
@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.training.marker_regression import MarkerData
+from phytac_design.training.marker_regression import FOLDS, MarkerData
+from phytac_design.workflows.marker_messages import mcap_recordings, read_marker_messages
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError, MissingPartError, OutputError
 
@@ -26,9 +27,11 @@ def read_marker_data(
     ----------
     source : Path
         Zarr (a folder, or zipped) with arrays below ``data`` and ``meta/episode_ends`` as of
-        FTP-1, Open-X-Tactile and UMI, or an NPZ file with arrays and ``episode_ends``.
+        FTP-1, Open-X-Tactile and UMI, an NPZ file with arrays and ``episode_ends``, or MCAP with
+        ROS 2 messages (a file, or a folder of them).
     markers, wrench : str
-        Names of the arrays: (frames, …), of markers perhaps after an axis of pads.
+        Names of the arrays: (frames, …), of markers perhaps after an axis of pads. Of MCAP, topics;
+        see :func:`phytac_design.workflows.marker_messages.read_marker_messages`.
     pad : int
         Pad of a Zarr array ``…_tactile_data_…``, whose second axis counts pads.
     rest_first : bool
@@ -44,32 +47,37 @@ def read_marker_data(
     Raises
     ------
     InputError
-        If there is no such array, or it does not fit.
+        If there is no such array or topic, or it does not fit.
     MissingPartError
-        If zarr is needed and not installed.
+        If a library is needed and not installed.
     """
-    arrays, ends = _zarr(source, (markers, wrench)) if _is_zarr(source) else _npz(source)
-    seen, felt = (_numbers(source, arrays, name, pad) for name in (markers, wrench))
+    recordings = mcap_recordings(source)
+    notes: list[str] = []
+    if recordings:
+        seen, felt, ends, notes = read_marker_messages(recordings, markers, wrench)
+    else:
+        arrays, ends = _zarr(source, (markers, wrench)) if _is_zarr(source) else _npz(source)
+        seen, felt = (_numbers(source, arrays, name, pad) for name in (markers, wrench))
     frames = len(seen)
     if len(felt) != frames or not frames:
         raise InputError(
             "marker-data-array",
             f"{markers} has {frames} frames and {wrench} {len(felt)}; they must be the same ones",
         )
-    notes = []
-    first = np.zeros(1, dtype=np.int64) if ends is None else np.concatenate([[0], ends])
-    if ends is None:
+    if ends is not None and (not len(ends) or np.any(np.diff(ends) < 0) or ends[-1] > frames):
+        raise InputError("marker-data-array", f"episode_ends does not fit {frames} frames")
+    if rest_first:
+        first = np.zeros(1, dtype=np.int64) if ends is None else np.concatenate([[0], ends])
+        begin = first[np.searchsorted(first, np.arange(frames), side="right") - 1]
+        seen = seen - seen[begin]
+    if ends is None or (recordings and len(ends) < 2 * FOLDS):
+        found = "no episodes" if ends is None or len(ends) == 1 else f"{len(ends)} episodes alone"
         ends = np.linspace(0, frames, BLOCKS + 1).round().astype(np.int64)[1:]
         notes.append(
-            f"no episodes: {BLOCKS} blocks of consecutive frames are held out in their place; a "
+            f"{found}: {BLOCKS} blocks of consecutive frames are held out in their place; a "
             "press may lie in two"
         )
-    if np.any(np.diff(ends) < 0) or ends[-1] > frames:
-        raise InputError("marker-data-array", f"episode_ends does not fit {frames} frames")
     episode = np.searchsorted(ends, np.arange(frames), side="right")
-    if rest_first:
-        begin = first[np.minimum(episode, len(first) - 1)]
-        seen = seen - seen[np.minimum(begin, frames - 1)]
     whole = np.isfinite(seen).all(axis=1) & np.isfinite(felt).all(axis=1) & (episode < len(ends))
     if not whole.all():
         notes.append(f"{int((~whole).sum())} of {frames} frames left out: of no episode, or gaps")
