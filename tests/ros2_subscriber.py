@@ -149,6 +149,17 @@ class CompressedImage(IdlStruct, typename="sensor_msgs::msg::dds_::CompressedIma
 
 
 @dataclass
+class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):
+    header: Header
+    height: uint32
+    width: uint32
+    encoding: str
+    is_bigendian: uint8
+    step: uint32
+    data: sequence[uint8]
+
+
+@dataclass
 class UVCoordinate(IdlStruct, typename="visualization_msgs::msg::dds_::UVCoordinate_"):
     u: float32
     v: float32
@@ -243,6 +254,8 @@ TOPICS = {
     "diagnostics": DiagnosticArray,
     "camera/camera_info": CameraInfo,
 }
+TYPES = {**TOPICS, "camera/image_raw": Image}
+"""Those of pictures are there if they are asked for."""
 LOCAL = """<CycloneDDS><Domain id='any'><General><Interfaces><NetworkInterface
 address='127.0.0.1'/></Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery>
 <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
@@ -278,11 +291,10 @@ def main(domain: int, topics: list[str], *, counting: bool = False) -> None:
     here = DomainParticipant(domain)
     readers = {}
     for topic in topics:
-        where = Topic(here, f"rt/phytac/{topic}", TOPICS[topic])
-        # One of the other kind, as rclcpp::SensorDataQoS asks for.
-        readers[topic] = DataReader(
-            here, where, qos=BEST_EFFORT if topic == "switches" else RELIABLE
-        )
+        where = Topic(here, f"rt/phytac/{topic}", TYPES[topic])
+        # Two of the other kind, as rclcpp::SensorDataQoS asks for.
+        loose = topic in {"switches", "camera/image_raw"}
+        readers[topic] = DataReader(here, where, qos=BEST_EFFORT if loose else RELIABLE)
     ask = DataWriter(here, Topic(here, "rq/phytac/tareRequest", TriggerRequest), qos=RELIABLE)
     replies = DataReader(here, Topic(here, "rr/phytac/tareReply", TriggerResponse), qos=RELIABLE)
     end_s = time.monotonic() + 20.0
@@ -300,7 +312,7 @@ def main(domain: int, topics: list[str], *, counting: bool = False) -> None:
             time.sleep(0.02)
         print(json.dumps({"tare": dataclasses.asdict(found[0])}))
     for topic, reader in readers.items():
-        for one in (one for one in reader.take(N=1000) if isinstance(one, TOPICS[topic])):
+        for one in (one for one in reader.take(N=1000) if isinstance(one, TYPES[topic])):
             print(json.dumps({topic: dataclasses.asdict(one)}, default=list))
 
 

@@ -15,6 +15,7 @@ from typing import Any
 from unittest.mock import MagicMock
 from xml.etree import ElementTree as ET
 
+import cv2
 import pytest
 import yaml
 
@@ -145,6 +146,37 @@ def test_the_command_publishes_and_tares(tmp_path: Path, domain: str) -> None:
     assert found["wrench"][-1]["header"]["frame_id"] == "sensor"
     assert f"service /phytac/tare in domain {domain}" in reported
     assert "whoever is in this network" not in reported
+
+
+def test_pictures_are_published_if_asked_for(domain: str, tmp_path: Path) -> None:
+    decoder, pictures = toy_recording(tmp_path, [{}, {}])
+    shown = [cv2.imread(str(path)) for path in sorted(pictures.iterdir())]
+    words = ("--fps", "50", "--every", "--loop", "--rest-first", "1", "--port", "0")
+    command = [*PHYTAC, "serve", str(decoder), str(pictures), *words, "--ros2-images"]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as serving:
+        try:
+            with subscribed(domain, "wrench", "camera/image_raw") as other:
+                assert other.stdout is not None
+                assert other.stdout.readline() == "ready\n"
+                time.sleep(1.0)
+                printed, _ = other.communicate("end\n", timeout=PATIENCE_S)
+        finally:
+            serving.terminate()
+            serving.wait(PATIENCE_S)
+    found = received(printed)
+    # Half of 50 frames: each 1/31 s, the next one.
+    assert 5 < len(found["camera/image_raw"]) < 0.7 * len(found["wrench"])
+    image, height = found["camera/image_raw"][-1], shown[0].shape[0]
+    assert (image["height"], image["width"], image["step"]) == (height, shown[0].shape[1],
+                                                                3 * shown[0].shape[1])  # fmt: skip
+    assert (image["encoding"], image["header"]["frame_id"]) == ("bgr8", "camera_optical")
+    assert any(image["data"] == each.ravel().tolist() for each in shown)
+    stamps, forces = (
+        [tuple(one["header"]["stamp"].values()) for one in found[topic]]
+        for topic in ("camera/image_raw", "wrench")
+    )
+    assert len(set(stamps)) == len(stamps)
+    assert len(set(stamps) & set(forces)) > 5
 
 
 def test_no_subscriber_delays_the_decoder(domain: str, monkeypatch: pytest.MonkeyPatch) -> None:

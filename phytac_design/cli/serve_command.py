@@ -177,6 +177,9 @@ def serve(
             "--ros2", help="Publish ROS 2 topics, too, in the domain ROS_DOMAIN_ID (extra ros2)."
         ),
     ] = False,
+    ros2_images: Annotated[
+        bool, typer.Option("--ros2-images", help="Also publish pictures, 30 a second at most.")
+    ] = False,
 ) -> None:
     """Stream forces to robots, Unity or ROS over TCP, until the source ends or Ctrl-C."""
     import time
@@ -232,8 +235,10 @@ def serve(
             )
         )
         kept = open_recorders(stack, record, record_regions, messages)
-        if ros2:
-            kept[Path("ROS 2")] = open_topics(stack, messages, session.tare.tare, report)
+        if ros2 or ros2_images:
+            kept[Path("ROS 2")], session = open_topics(
+                stack, messages, session, report, images=ros2_images
+            )
         for limit in loaded.limits(session.estimator):
             report(f"warning: {limit}")
         if not (server.host.startswith("127.") or server.host == "::1"):
@@ -459,10 +464,12 @@ def named_regions(
 def open_topics(
     stack: contextlib.ExitStack,
     messages: "MessageBuilder",
-    tare: "Callable[[], None]",
+    session: "Session",
     report: "Callable[[str], None]",
-) -> "MessageRecorder":
-    """ROS 2 topics of a stream, which the stack ends.
+    *,
+    images: bool,
+) -> "tuple[MessageRecorder, Session]":
+    """ROS 2 topics of a stream, which the stack ends, and the session that hands them its pictures.
 
     Raises
     ------
@@ -473,7 +480,7 @@ def open_topics(
     """
     from phytac_design.core.ros2_topics import TOPICS, Ros2Topics
 
-    topics = Ros2Topics(messages, tare)
+    topics = Ros2Topics(messages, session.tare.tare, images=images)
 
     def lost() -> None:
         if topics.dropped:
@@ -487,7 +494,9 @@ def open_topics(
             "warning: whoever is in this network can listen and tare over ROS 2; "
             "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST keeps topics on this machine"
         )
-    return topics
+    if images:
+        session = session._replace(decode=topics.with_images(session.decode))
+    return topics, session
 
 
 def _recorder(path: Path, messages: "MessageBuilder") -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.serving.wire_protocol import Message
+from phytac_shapes.arrays import ImageArray
 
 SENSOR_FRAME = "sensor"
 """Frame of wrenches and contacts."""
@@ -47,6 +48,10 @@ DEFINITIONS = {
         "uint32 binning_y\nsensor_msgs/RegionOfInterest roi"
     ),
     "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
+    "sensor_msgs/Image": (
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\n"
+        "uint8 is_bigendian\nuint32 step\nuint8[] data"
+    ),
     "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v",
     "visualization_msgs/MeshFile": "string filename\nuint8[] data",
     "visualization_msgs/Marker": (
@@ -223,6 +228,25 @@ def camera_messages(cameras: Sequence[Camera], stamp_ns: int) -> Iterator[TopicM
                 "binning_y": 0,
                 "roi": dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0)
                 | {"do_rectify": False},
+            },
+        )
+
+
+def image_messages(images: Sequence[ImageArray], stamp_ns: int) -> Iterator[TopicMessage]:
+    """Picture of each camera, (h, w, 3) uint8 BGR, beside its ``CameraInfo``."""
+    for image, frame in zip(images, CAMERA_FRAMES, strict=False):
+        height, width, channels = image.shape
+        yield TopicMessage(
+            f"{frame.removesuffix('_optical')}/image_raw",
+            "sensor_msgs/Image",
+            {
+                "header": _header(stamp_ns, frame),
+                "height": height,
+                "width": width,
+                "encoding": "bgr8",
+                "is_bigendian": 0,
+                "step": channels * width,
+                "data": image.tobytes(),
             },
         )
 

@@ -7,15 +7,20 @@ CDR. Endpoints carry the hash of their type, as from ROS 2 Iron on.
 import os
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Self
 
+from phytac_decoder.io.frame import Frame
+from phytac_decoder.pipeline.frame_reading import Reading
+from phytac_decoder.serving.sensor_loop import Decode
 from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_design.core.ros2_messages import (
     DEFINITIONS,
+    TopicMessage,
     camera_messages,
     cdr_bytes,
     frame_messages,
+    image_messages,
     parsed_fields,
     region_topic,
 )
@@ -29,6 +34,8 @@ DEPTH = 256
 """Messages of a topic that are kept for a subscriber that asks again for what it lost."""
 CAMERA_INFO_s, MARKERS_s = 1.0, 1.0 / 31.0
 """Least seconds between messages that describe the cameras, and between arrows (for display)."""
+IMAGES_s = MARKERS_s
+"""The same between pictures."""
 POLL_s = 0.05
 """Longest time until a request is seen while no frame comes."""
 TOPIC_TYPES = {
@@ -47,6 +54,7 @@ TYPE_HASHES = {
         "8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77"
     ),
     "sensor_msgs/CameraInfo": "b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275",
+    "sensor_msgs/Image": "d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47",
     "std_msgs/UInt8MultiArray": "5687e861b8d307a5e48b7515467ae7a5fc2daf805bd0ce6d8e9e604bade9f385",
     "tactile_msgs/TactileContact": (
         "94503ed59419d3bf0570843f2a5b7cb4e01130d3d7641a2fa5d7c731bc6b7bde"
@@ -78,6 +86,9 @@ class Ros2Topics:
         Of the stream.
     tare : callable
         Called when a client of the service ``tare`` asks for a new rest frame.
+    images : bool
+        Whether there are topics of pictures, see :meth:`with_images`. They are best effort: what a
+        subscriber loses is not sent again.
 
     Raises
     ------
@@ -89,7 +100,13 @@ class Ros2Topics:
         If DDS cannot be started.
     """
 
-    def __init__(self, messages: MessageBuilder, tare: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        messages: MessageBuilder,
+        tare: Callable[[], None] = lambda: None,
+        *,
+        images: bool = False,
+    ) -> None:
         self._dds = _library()
         self.domain, self.local = domain_id(), local_only()
         self._bundle, self._tare = messages.bundle, tare
@@ -99,6 +116,7 @@ class Ros2Topics:
         self._arrived, self._ending = threading.Event(), threading.Event()
         self._requests = list[Any]()
         self._sent_s: dict[str, float] = {}
+        self._images: Frame | None = None
         self._failed: str | None = None
         try:
             if self.local:
@@ -111,6 +129,9 @@ class Ros2Topics:
             cameras = [one[:2] for one in camera_messages(messages.bundle.cameras, 0)]
             wrenches = [region_topic(region.name) for region in messages.regions]
             kinds = TOPIC_TYPES | dict.fromkeys(wrenches, TOPIC_TYPES["wrench"]) | dict(cameras)
+            if images:
+                pictures = [topic.replace("camera_info", "image_raw") for topic, _ in cameras]
+                kinds |= dict.fromkeys(pictures, "sensor_msgs/Image")
             self._writers = {topic: self._writer(topic, kind) for topic, kind in kinds.items()}
             self._asked, self._replies = self._service("tare")
         except self._dds.core.DDSException as error:
@@ -145,6 +166,17 @@ class Ros2Topics:
         self._waiting.append(message)
         self._arrived.set()
 
+    def with_images(self, decode: Decode) -> Decode:
+        """Return what decodes frames and hands over their pictures; 30 a second are sent."""
+
+        def decode_and_show(frame: Frame) -> Reading:
+            if self._due("images", IMAGES_s, frame.ready_s):
+                self._images = frame
+                self._arrived.set()
+            return decode(frame)
+
+        return decode_and_show
+
     def _run(self) -> None:
         try:
             while not self._ending.is_set() or self._waiting:
@@ -153,6 +185,10 @@ class Ros2Topics:
                 self._take_requests()
                 while self._waiting:
                     self._send(self._waiting.popleft())
+                frame, self._images = self._images, None
+                if frame:
+                    stamp_ns = self._started_ns + round(1e9 * frame.timestamp_s)
+                    self._write(image_messages(frame.images, stamp_ns))
             self._reply({"done": False, "reason": "the stream has ended"})
         except self._dds.core.DDSException as error:
             self._failed = str(error)
@@ -162,15 +198,21 @@ class Ros2Topics:
         out = list(frame_messages(message, stamp_ns, len(self._bundle.position_mm)))
         if self._due("camera", CAMERA_INFO_s, message["decoded_s"]):
             out += camera_messages(self._bundle.cameras, stamp_ns)
-        for topic, type_name, fields in out:
-            if topic != "markers" or self._due("markers", MARKERS_s, message["decoded_s"]):
-                writer = self._writers[topic]
-                sample = writer.data_type.__new__(writer.data_type)
-                sample.cdr = cdr_bytes(type_name, fields)
-                writer.write(sample)
+        self._write(
+            one
+            for one in out
+            if one.topic != "markers" or self._due("markers", MARKERS_s, message["decoded_s"])
+        )
         self.rows += 1
         if "tare" in message:
             self._reply(message["tare"])
+
+    def _write(self, messages: Iterable[TopicMessage]) -> None:
+        for topic, type_name, fields in messages:
+            writer = self._writers[topic]
+            sample = writer.data_type.__new__(writer.data_type)
+            sample.cdr = cdr_bytes(type_name, fields)
+            writer.write(sample)
 
     def _due(self, name: str, period_s: float, now_s: float) -> bool:
         """Whether what comes once in a period has to come now."""
@@ -182,13 +224,16 @@ class Ros2Topics:
     def _writer(self, topic: str, type_name: str) -> Any:
         kind = dds_type(dds_name(type_name), parsed_fields(type_name))
         where = self._dds.topic.Topic(self._participant, f"rt{TOPICS}{topic}", kind)
-        quality = self._quality(DEPTH, f"typehash=RIHS01_{TYPE_HASHES[type_name]};")
+        best_effort = type_name == "sensor_msgs/Image"
+        user_data = f"typehash=RIHS01_{TYPE_HASHES[type_name]};"
+        quality = self._quality(2 if best_effort else DEPTH, user_data, best_effort=best_effort)
         return self._dds.pub.DataWriter(self._participant, where, qos=quality)
 
-    def _quality(self, depth: int, user_data: str = "") -> Any:
+    def _quality(self, depth: int, user_data: str = "", *, best_effort: bool = False) -> Any:
         policy = self._dds.qos.Policy
+        reliable = policy.Reliability.Reliable(self._dds.util.duration(milliseconds=100))
         return self._dds.qos.Qos(
-            policy.Reliability.Reliable(self._dds.util.duration(milliseconds=100)),
+            policy.Reliability.BestEffort if best_effort else reliable,
             policy.Durability.Volatile,
             policy.History.KeepLast(depth),
             policy.WriterDataLifecycle(autodispose=False),
