@@ -25,7 +25,9 @@ from benchmarks.harness import RESULTS, Table
 from benchmarks.provenance import record
 
 ROOT = Path(__file__).parents[1]
-EXTRAS = ("", "design", "solid", "train", "study", "studio", "all")
+EXTRAS = (
+    "", "design", "solid", "train", "study", "studio", "all", "recordings", "ros2", "zarr"
+)  # fmt: skip
 PACKAGES = ("shapes", "decoder", "phytac_design")
 SOURCE = "success"
 
@@ -71,12 +73,19 @@ class Environment:
     def environment(self) -> dict[str, str]:
         """Environment variables: nothing of the checkout is found, the cache is empty."""
         own = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-        return own | {"PHYTAC_CACHE": str(self.folder / "cache")}
+        return own | {
+            "PHYTAC_CACHE": str(self.folder / "cache"),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        }
 
     def phytac(self, *words: str, expect: int = 0) -> str:
         """Run a command; "" if it exited with ``expect``, else the last line that it printed."""
+        return self.run("phytac", *words, expect=expect)
+
+    def run(self, program: str, *words: str, expect: int = 0) -> str:
+        """Run one of the environment's programs, see :meth:`phytac`."""
         done = subprocess.run(
-            [str(self.bin / "phytac"), *words],
+            [str(self.bin / program), *words],
             cwd=self.folder,
             env=self.environment(),
             capture_output=True,
@@ -94,18 +103,57 @@ class Environment:
         return sum(path.lstat().st_size for path in files) / 1e6
 
 
-def decodes(env: Environment, built: Path) -> str:
-    """Decode the frame that a build leaves beside its bundle."""
+def pressed(built: Path, command: str) -> list[str]:
+    """Words of a command for the frame that a build leaves beside its bundle."""
     frames = built / "views"
-    return env.phytac(
-        "decode",
-        str(built / "decoder"),
-        str(frames / "frame_pressed.png"),
-        "--rest",
-        str(frames / "frame_rest.png"),
-        "--csv",
-        "forces.csv",
-    )
+    words = [command, str(built / "decoder"), str(frames / "frame_pressed.png")]
+    return [*words, "--rest", str(frames / "frame_rest.png")]
+
+
+def decodes(env: Environment, built: Path) -> str:
+    """Decode a frame."""
+    return env.phytac(*pressed(built, "decode"), "--csv", "forces.csv")
+
+
+def records(env: Environment, built: Path) -> str:
+    """Decode a frame to ROS 2 messages."""
+    return env.phytac(*pressed(built, "decode"), "--mcap", "forces.mcap")
+
+
+def publishes(env: Environment, built: Path) -> str:
+    """Publish a frame as ROS 2 topics."""
+    return env.phytac(*pressed(built, "serve"), "--port", "0", "--ros2")
+
+
+MCAP = """
+import numpy
+from mcap_ros2.writer import Writer
+with open("markers.mcap", "wb") as file:
+    writer = Writer(file)
+    schema = writer.register_msgdef("some_msgs/msg/Numbers", "float64[] data")
+    for k, row in enumerate(numpy.random.default_rng(0).normal(size=(40, 3))):
+        for topic in ("/markers", "/force"):
+            writer.write_message(topic, schema, {"data": row.tolist()}, log_time=k * 10**8)
+    writer.finish()
+"""
+ZARR = """
+import numpy, zarr
+data = zarr.open_group("markers.zarr", mode="w").create_group("data")
+for name in ("markers", "force"):
+    data.create_array(name, data=numpy.random.default_rng(0).normal(size=(40, 3)))
+"""
+
+
+def judges_mcap(env: Environment, _: Path) -> str:
+    """Judge markers of an MCAP file, which the format's own library wrote."""
+    words = ("markers.mcap", "--markers", "/markers.data", "--wrench", "/force.data")
+    return env.run("python", "-c", MCAP) or env.phytac("import-markers", *words)
+
+
+def judges_zarr(env: Environment, _: Path) -> str:
+    """Judge markers of a Zarr."""
+    words = ("markers.zarr", "--markers", "markers", "--wrench", "force")
+    return env.run("python", "-c", ZARR) or env.phytac("import-markers", *words)
 
 
 def refuses(env: Environment, _: Path) -> str:
@@ -172,6 +220,9 @@ PROMISES: dict[str, tuple[tuple[str, Callable[[Environment, Path], str]], ...]] 
         ("decodes a frame", decodes),
         ("ONNX export", learns),
     ),
+    "recordings": (("decodes to MCAP", records), ("judges markers of MCAP", judges_mcap)),
+    "ros2": (("publishes a frame", publishes),),
+    "zarr": (("judges markers of a Zarr", judges_zarr),),
 }
 
 
