@@ -267,8 +267,8 @@ def _picture(candidate: Candidate, camera: Camera, side_px: int) -> Json:
         "height": small.height_px,
         "of_width": camera.width_px,
         "of_height": camera.height_px,
-        "jpeg": _base64(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 88])[1]),
-        "ids": _base64(cv2.imencode(".png", id_image(owner), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]),
+        "jpeg": encoded(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 88])[1]),
+        "ids": encoded(cv2.imencode(".png", id_image(owner), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]),
         "tip_px": np.round(small.project(markers.tip_mm), 3).tolist(),
     }
 
@@ -279,5 +279,6 @@ def id_image(owner: NDArray[np.int32]) -> ImageArray:
     return np.stack([np.zeros_like(code), code >> 8, code & 255], axis=-1).astype(np.uint8)
 
 
-def _base64(data: Any) -> str:
+def encoded(data: Any) -> str:
+    """Bytes as base64 text."""
     return b64encode(bytes(data)).decode()

@@ -42,6 +42,21 @@ class DraftRequest(CheckRequest):
     side_px: Annotated[int, Field(ge=SIDE_MIN_px, le=SIDE_px)] = SIDE_px
 
 
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class PressRequest(DraftRequest):
+    """Draw a design under a press; a later request of the same tab supersedes this one.
+
+    The press is placed in the view of ``camera``, at shares of its width and height.
+    """
+
+    camera: Annotated[int, Field(ge=0, le=1)]
+    x: Share
+    y: Share
+    force_N: Annotated[float, Field(ge=0.0, le=1e4)]
+
+
 class SaveRequest(DesignRequest):
     """Save a design; ``replace`` is the digest of the text that may be overwritten unasked."""
 

@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager, suppress
 from importlib import resources
 from typing import Any
 
+import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
@@ -27,6 +28,7 @@ from phytac_design.studio.draft import draft, exact_in_worker
 from phytac_design.studio.files import ConfirmationError, OpenedDesign, ProjectFolder
 from phytac_design.studio.form import error_body, field_paths, form
 from phytac_design.studio.latest_only import LatestOnlyExecutor, SupersededError
+from phytac_design.studio.pressed_view import PressView
 from phytac_design.studio.request_bodies import parse
 from phytac_design.studio.studies import studies, study_table, trial_design
 from phytac_design.study.advice.quick_repair import quick_repair
@@ -51,6 +53,8 @@ class Studio:
         self.project, self.design = project, design
         self.builds = BuildRunner(project.root)
         self.drafts, self.checks = LatestOnlyExecutor("draft"), LatestOnlyExecutor("check")
+        self.presses = LatestOnlyExecutor("press")
+        self.pressed: PressView | None = None
         self.checker = WorkerPool(exact_in_worker, workers=1, retries=0)
         self.paths = field_paths()
 
@@ -68,6 +72,7 @@ class Studio:
         post: dict[str, tuple[type[bodies.RequestBody], Handler]] = {
             "/api/open": (bodies.OpenRequest, self.open),
             "/api/draft": (bodies.DraftRequest, self.draft),
+            "/api/press": (bodies.PressRequest, self.press),
             "/api/check": (bodies.CheckRequest, self.check),
             "/api/repair": (bodies.CheckRequest, self.repair),
             "/api/text": (bodies.DesignRequest, self.text),
@@ -92,6 +97,7 @@ class Studio:
             warm.cancel()
             self.drafts.close()
             self.checks.close()
+            self.presses.close()
             self.checker.close()
             await self.builds.stop()
 
@@ -147,6 +153,18 @@ class Studio:
             ),
         )
         return drawn | {"fields": error_body(drawn["refused"], self.paths)["fields"]}
+
+    async def press(self, body: bodies.PressRequest) -> Json:
+        """Camera views of a design under a press."""
+
+        def work(check: Callable[[], None]) -> Json:
+            design = self.project.design_of(body.data, body.source)
+            view = self.pressed
+            if view is None or (view.design, view.side_px) != (design, body.side_px):
+                view = self.pressed = PressView(design=design, side_px=body.side_px)
+            return view.draw(body.camera, np.array([body.x, body.y]), body.force_N, check)
+
+        return await self.presses.run(body.tab, work)
 
     async def check(self, body: bodies.CheckRequest) -> Json:
         """`phytac check`, once controls rest; in a process of its own, so that drafts stay fast."""

@@ -38,6 +38,12 @@ export class Live {
     return { data, source, tab: this.tab };
   }
 
+  // Longer side of the pictures, px.
+  side() {
+    const wide = document.getElementById("cameras").clientWidth * (window.devicePixelRatio || 1);
+    return Math.round(Math.min(864, Math.max(480, wide)));
+  }
+
   async send() {
     const since = this.since, start = performance.now();
     this.since = undefined;
@@ -46,11 +52,9 @@ export class Live {
     const whole = this.whole;
     this.whole = false;
     this.under = new AbortController();
-    const wide = document.getElementById("cameras").clientWidth * (window.devicePixelRatio || 1);
-    const side = Math.round(Math.min(864, Math.max(480, wide)));
     let drawn = null;
     try {
-      const draft = await post("api/draft", { ...this.body(), side_px: side }, this.under.signal);
+      const draft = await post("api/draft", { ...this.body(), side_px: this.side() }, this.under.signal);
       this.model.resolved = draft.resolved;
       await this.views.draw(draft);
       this.controls.refresh(whole);

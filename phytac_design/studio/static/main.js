@@ -5,6 +5,7 @@ import { Controls } from "./controls.js";
 import { Files } from "./files.js";
 import { Live } from "./live.js";
 import { Model } from "./model.js";
+import { Press } from "./press.js";
 import { Studies } from "./studies.js";
 import { Views } from "./views.js";
 
@@ -17,6 +18,7 @@ async function begin() {
     else controls.refresh(false);
   });
   const live = new Live(model, views, controls);
+  const press = new Press(model, views, live);
   const files = new Files(model, start);
   model.addEventListener("state", () => {
     const { source } = model.now, name = model.value("name") || "";
@@ -53,7 +55,7 @@ async function begin() {
   };
   window.addEventListener("hashchange", openAddress);
   openAddress();
-  window.studio = { model, live, views, build, studies };
+  window.studio = { model, live, views, press, build, studies };
 }
 
 begin().catch(error => {

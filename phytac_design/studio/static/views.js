@@ -22,11 +22,24 @@ export class Views {
     this.checked = null;
     if (pictures.length !== this.cameras.length) this.frames(draft);
     pictures.forEach((picture, k) => Object.assign(this.cameras[k], draft.cameras[k], picture));
-    this.cameras.forEach(camera => { camera.caption.textContent = caption(camera); });
+    this.cameras.forEach(camera => {
+      camera.caption.textContent = caption(camera);
+      camera.pressed = null;
+    });
     this.paint();
     this.figures(draft);
     this.explore(draft.view);
     this.old(false);
+    if (this.onDraft) this.onDraft(draft);
+  }
+
+  // The views under a press, from the server; null for those at rest.
+  async press(cameras) {
+    const pictures = cameras ? await Promise.all(cameras.map(load)) : [];
+    this.cameras.forEach((camera, k) => {
+      camera.pressed = cameras && cameras[k] ? { ...cameras[k], ...pictures[k] } : null;
+    });
+    this.paint();
   }
 
   explore(data) {
@@ -61,8 +74,8 @@ export class Views {
 
   // The marker under the pointer; `ids` holds numbers from 1, 0 for none. In the unpainted hole of
   // a receptor the nearest end counts.
-  point(camera, event) {
-    const box = camera.canvas.getBoundingClientRect();
+  point({ canvas, ...rest }, event) {
+    const box = canvas.getBoundingClientRect(), camera = rest.pressed || rest;
     const x = Math.floor((event.clientX - box.left) / box.width * camera.width);
     const y = Math.floor((event.clientY - box.top) / box.height * camera.height);
     let marker = (camera.ids[y * camera.width + x] || 0) - 1;
@@ -82,14 +95,14 @@ export class Views {
     const data = this.draft.view;
     let colours = null;
     if (recolour) colours = C.of(data, C.find(data, by("explorer").dataset.colouring));
-    for (const camera of this.cameras) {
-      const { canvas, width, height } = camera;
+    for (const own of this.cameras) {
+      const { canvas } = own, camera = own.pressed || own, { width, height } = camera;
       if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
       const pen = canvas.getContext("2d", { willReadFrequently: true });
       pen.drawImage(camera.image, 0, 0, width, height);
       if (colours) this.recolour(pen, camera, colours);
       this.rings(pen, camera);
-      canvas.setAttribute("aria-label", caption(camera));
+      canvas.setAttribute("aria-label", caption(own) + (own.pressed ? ", pressed" : ""));
       canvas.dataset.drawn = String(1 + Number(canvas.dataset.drawn || 0));
     }
   }
