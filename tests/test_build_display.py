@@ -39,3 +39,5 @@ def test_no_end_is_promised_while_a_stage_runs(shown: Any) -> None:
                            (40.0, "longer than predicted")):  # fmt: skip
         shown.clock.now += later_s
         assert line(shown).endswith(words)
+    shown.display("[4/4] report 48.0 s")
+    assert line(shown) == "4 of 4 stages done"

@@ -46,6 +46,7 @@ class BuildDisplay:
         turn = re.match(r"\[(\d+)/(\d+)\] ([a-z-]+) (…)?", text)
         if turn:
             self._ended = f"{turn[1]} of {turn[2]} stages done"
+            self._end = float("inf") if turn[1] == turn[2] else self._end
         if turn and turn[4]:
             self._begun[turn[3]] = now
             return
