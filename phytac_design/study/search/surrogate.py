@@ -181,6 +181,19 @@ def deflection_under_disc(
     return Deflection(amplitude=share * load / resistance, a=a, b=b)
 
 
+def tip_basis(sensor: Sensor) -> FloatArray:
+    """Motion (n, 3, 3) of receptors' tips by the wall's motion inwards and its slopes (columns).
+
+    The wall's normal leans to where it moves in farther, and the tips, on its inner side, away.
+    """
+    surface, markers = sensor.surface, sensor.markers
+    tangents = surface.tangents(markers.uv)
+    unit = tangents / np.maximum(np.linalg.norm(tangents, axis=2, keepdims=True), 1e-12)
+    arm = markers.height_mm + sensor.design.wall.thickness_mm / 2.0
+    along, around = (-arm[:, None] * unit[:, axis] for axis in range(2))
+    return np.stack([-markers.normal, along, around], axis=2)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Predicted:
     """Bounds at the sources (s,), and deflection mm and strain there under the greatest force."""
@@ -222,16 +235,10 @@ def predict(
     order = np.argsort(x, kind="stable")
     share = (np.arange(sources) + 0.5) / sources
     chosen = np.unique(order[(share * markers.count).astype(int)])
-    tangents = surface.tangents(markers.uv)
-    unit = tangents / np.maximum(np.linalg.norm(tangents, axis=2, keepdims=True), 1e-12)
-    # The tip of a tube tilts with the wall: it moves along it by its height times the slope.
-    arm = markers.height_mm + design.wall.thickness_mm / 2.0
     slopes = np.where(seen[:, None, None], stack_views(cameras, markers.tip_mm), 0.0)
     slopes = np.nan_to_num(slopes)
-    basis = np.stack(
-        [-markers.normal, arm[:, None] * unit[:, 0], arm[:, None] * unit[:, 1]], axis=2
-    )
-    image = slopes @ basis  # (n, 2c, 3): px per mm of motion and per unit of slope
+    # (n, 2c, 3): px per mm of motion and per unit of slope.
+    image = slopes @ tip_basis(sensor)
 
     def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
         each = zip(uv, radius_mm, unrolled.at(uv), unrolled.x_mm(uv), strict=True)

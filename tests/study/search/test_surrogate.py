@@ -12,6 +12,7 @@ from phytac_design.study.search.surrogate import (
     MetricLengths,
     Wall,
     deflection_under_disc,
+    tip_basis,
     waves_along,
 )
 from tests.designs import changed, small
@@ -89,6 +90,30 @@ def test_a_deflection_under_disc_the_cylinder_is_near_finite_elements() -> None:
     along = waves_along(float(unrolled.along[-1]), x)
     found = float(dent.motion(along, np.zeros(1))[0, 0])
     assert found == pytest.approx(exact, rel=0.25)
+
+
+def test_tips_lean_as_in_finite_elements() -> None:
+    """Away from where the wall moves in farther: a sign that makes them lean towards it fails."""
+    design = small()
+    sensor = Candidate(design, tiny()).sensor
+    surface, markers = sensor.surface, sensor.markers
+    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=4)
+    model = sensor_model(design, markers, mesh, receptors=False)
+    middle = int(np.argmin(np.abs(markers.mid_mm[:, 2] - 30.0)))
+    load = patch_loads(mesh, surface, markers.uv[[middle]], 5.0).toarray()
+    motion = model.solve(load).motion[mesh.marker_nodes][..., 0]
+    tips = motion[:, :3] + np.cross(motion[:, 3:], markers.tip_mm - markers.mid_mm)
+    unrolled, place = MetricLengths(surface), markers.uv[middle]
+    here = float(unrolled.x_mm(place[None])[0])
+    dent = deflection_under_disc(WALL, unrolled.at(place[None])[0], here, 5.0)
+    along = waves_along(float(unrolled.along[-1]), unrolled.x_mm(markers.uv))
+    waves = dent.motion(along, unrolled.y_mm(markers.uv, place))
+    found = np.einsum("nij,nj->ni", tip_basis(sensor), waves)
+    tangents = surface.tangents(markers.uv)
+    for axis in range(2):
+        unit = tangents[:, axis] / np.linalg.norm(tangents[:, axis], axis=1, keepdims=True)
+        own, exact = (np.sum(one * unit, axis=1) for one in (found, tips))
+        assert np.corrcoef(own, exact)[0, 1] > 0.9
 
 
 def test_it_puts_walls_in_the_order_of_finite_elements() -> None:
