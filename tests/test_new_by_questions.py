@@ -27,9 +27,9 @@ from phytac_design.study.advice.first_design import (
     ERROR_MAX,
     FAMILIES,
     first_design,
-    predicted_sd_N,
     trip_force_N,
 )
+from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_design.workflows import switch_feasibility
 from tests.refusals import refused
 
@@ -65,7 +65,7 @@ def made(
 def test_a_shell_is_soft_enough_for_its_forces() -> None:
     tough, *softer = SHELL_MATERIALS
     stiff, soft = made("hemisphere", most_N=8.0, material=tough), made("hemisphere", most_N=8.0)
-    assert predicted_sd_N(stiff) > ERROR_MAX * 8.0 >= predicted_sd_N(soft)
+    assert force_sd_N(stiff) > ERROR_MAX * 8.0 >= force_sd_N(soft)
     assert soft.material.modulus_MPa in {one.modulus_MPa for one in softer}
     # The stiffest that is soft enough.
     assert made("hemisphere", most_N=2000.0).material.modulus_MPa == tough.modulus_MPa

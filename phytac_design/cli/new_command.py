@@ -159,14 +159,15 @@ def _body_words(design: "Design") -> str:
 def _precision_words(design: "Design") -> str:
     """Predicted precision of forces, and what would help where it is poor."""
     from phytac_design.design.shell_materials import SHELL_MATERIALS
-    from phytac_design.study.advice.first_design import ERROR_MAX, predicted_sd_N
+    from phytac_design.study.advice.first_design import ERROR_MAX
+    from phytac_design.study.advice.force_precision import force_sd_N
 
     material, most_N = design.material, design.training.force_max_N
     label = next(
         (one.words() for one in SHELL_MATERIALS if one.modulus_MPa == material.modulus_MPa),
         f"{material.modulus_MPa:g} MPa",
     )
-    sd_N = predicted_sd_N(design)
+    sd_N = force_sd_N(design)
     words = f"shell of {label} (assumed): {most_N:g} N is read to about ± {sd_N:.2g} N at best"
     if sd_N <= ERROR_MAX * most_N:
         return words

@@ -153,7 +153,7 @@ def _piece(change: Change) -> str:
     elif goal == STIFFNESS:
         share = change.predicted["force_max_sd_share"]
         words = (
-            f"the largest force is read to about {share:.1%} (closed form), and "
+            f"the largest force is read to about {share:.1%} (predicted), and "
             f"{FIGURES['force_middle_N'].doc} {100.0 * gain:.1f} % finer"
         )
     elif goal in FORCES:

@@ -16,8 +16,9 @@ from phytac_design.design.shell_materials import SHELL_MATERIALS, ShellMaterial
 from phytac_design.design.spec import Design
 from phytac_design.rules.check import check_design
 from phytac_design.study.advice.design_variables import with_fields
+from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_design.study.advice.quick_repair import seen_at_rest
-from phytac_design.study.search.surrogate import Predicted, predict
+from phytac_design.study.search.surrogate import predict
 from phytac_shapes.errors import DesignError, PhytacError
 
 
@@ -177,20 +178,6 @@ def _ratio(sizes_mm: dict[str, float], base: dict[str, Any], fields: tuple[str, 
     return float(sum(sizes_mm[field] for field in own) / sum(base[field] for field in own))
 
 
-def predicted_sd_N(design: Design) -> float:
-    """Standard deviation of the largest force, N, by closed form: the median along the sensor.
-
-    A bound: that of one contact at a time, seen by all markers, through a camera that stands still.
-    """
-    return float(np.median(_predicted(design).bound.force_N))
-
-
-def _predicted(design: Design) -> Predicted:
-    sensor = check_design(design)
-    seen = np.ones(sensor.markers.count, dtype=np.bool_)
-    return predict(sensor, sensor.cameras, seen, force_N=design.training.force_max_N)
-
-
 def _with_shell(design: Design, materials: Sequence[ShellMaterial]) -> Design:
     """The design with a shell that bears its largest force, and moves enough to show it.
 
@@ -236,10 +223,10 @@ def with_thinnest_wall(
     fields = {f"material.{name}": value for name, value in shell.items()}
     for thickness_mm in walls_mm:
         own = with_fields(design, fields | {"wall.thickness_mm": thickness_mm})
-        found = _predicted(own)
+        sensor = check_design(own)
+        found = predict(sensor, sensor.cameras, np.ones(sensor.markers.count, dtype=np.bool_))
         deepest = found.dent_mm.max() / thickness_mm
         bears = bool(found.strain.max() <= material.strain_max and deepest <= DENT_MAX)
         if bears:
             break
-    error = float(np.median(found.bound.force_N)) / design.training.force_max_N
-    return PredictedShell(own, bears, error)
+    return PredictedShell(own, bears, force_sd_N(own) / design.training.force_max_N)

@@ -11,9 +11,9 @@ from phytac_design.study.advice.first_design import (
     ERROR_MAX,
     PredictedShell,
     WALLS_mm,
-    predicted_sd_N,
     with_thinnest_wall,
 )
+from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_shapes.errors import DesignError
 
 THIN_mm = (0.5, 0.6)
@@ -24,23 +24,23 @@ TRIED_MAX = 3
 
 def stiffness_fault(design: Design) -> str:
     """Say that the largest force is read worse than ``phytac new`` allows; "" if it is not."""
-    most_N, sd_N = design.training.force_max_N, predicted_sd_N(design)
+    most_N, sd_N = design.training.force_max_N, force_sd_N(design)
     if sd_N <= ERROR_MAX * most_N:
         return ""
     return (
         f"its shell is too stiff for its forces: {most_N:g} N is read to about ± {sd_N:.2g} N at "
-        f"best, {sd_N / most_N:.1%} of it (closed form; `phytac new` takes a shell with at most "
+        f"best, {sd_N / most_N:.1%} of it (predicted; `phytac new` takes a shell with at most "
         f"{ERROR_MAX:.0%})"
     )
 
 
 def stiffness_changes(design: Design) -> list[Change]:
-    """Shells that bear the largest force and show it better, by closed form; to be evaluated.
+    """Shells that bear the largest force and show it better, as predicted; to be evaluated.
 
-    Those that are soft enough come first, the stiffest of them at their head. Materials of which no
-    wall bears the force have a reason.
+    Those that are soft enough come first, the stiffest of them at their head, then the softer ones
+    of the others. Materials of which no wall bears the force have a reason.
     """
-    before = predicted_sd_N(design) / design.training.force_max_N
+    before = force_sd_N(design) / design.training.force_max_N
     useful, rejected = [], []
     for shell in [*_thinner(design), *_softer(design)]:
         gain = 1.0 - shell.error / before
@@ -56,7 +56,7 @@ def stiffness_changes(design: Design) -> list[Change]:
         elif not shell.bears:
             reason = f"no wall that was tried bears {design.training.force_max_N:g} N"
             rejected.append(replace(change, reason=reason))
-    useful.sort(key=lambda one: one.predicted["force_max_sd_share"] > ERROR_MAX)
+    useful.sort(key=lambda one: max(one.predicted["force_max_sd_share"], ERROR_MAX))
     return [*useful[:TRIED_MAX], *rejected]
 
 

@@ -204,12 +204,7 @@ class Predicted:
 
 
 def predict(
-    sensor: Sensor,
-    cameras: tuple[Camera, ...],
-    seen: BoolArray,
-    *,
-    sources: int = 5,
-    force_N: float = FORCE_N,
+    sensor: Sensor, cameras: tuple[Camera, ...], seen: BoolArray, *, sources: int = 5
 ) -> Predicted:
     """Cramér-Rao bound and deflections of a design by the closed form.
 
@@ -219,8 +214,6 @@ def predict(
         Markers that the camera sees; the others carry no information.
     sources : int
         Receptors at which the bound is taken, from the near end to the far one.
-    force_N : float
-        Force at which the bound is taken.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training, camera = design.training, design.camera
@@ -258,7 +251,7 @@ def predict(
         training.patch_radius_min_mm,
         training.patch_radius_max_mm,
     )
-    bound = signals.bound(force_N, noise_px=camera.noise_centroid_px, prior=prior)
+    bound = signals.bound(FORCE_N, noise_px=camera.noise_centroid_px, prior=prior)
     dents, strains = [], []
     for flat, here in zip(unrolled.at(markers.uv[chosen]), x[chosen], strict=True):
         dent = deflection_under_disc(wall, flat, float(here), training.patch_radius_min_mm)
