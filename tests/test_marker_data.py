@@ -1,5 +1,6 @@
 """Regressions on marker displacements, judged on an elastic half-space."""
 
+import inspect
 import json
 import re
 import shutil
@@ -147,10 +148,120 @@ def test_what_cannot_be_judged_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
     np.savez(path, **made)
     data, notes = read_marker_data(path, "markers", "force", rest_first=True)
     assert len(data.wrench) == 31
-    assert [note.partition(":")[0] for note in notes] == ["no episodes", "1 of 32 frames left out"]
+    assert [note.partition(":")[0] for note in notes] == [
+        "no episodes",
+        "1 of 1 first frames are not at rest",
+        "1 of 32 frames left out",
+    ]
     monkeypatch.setitem(sys.modules, "zarr", None)
     with refused("missing-library"):
         read_marker_data(tmp_path / "task.zarr", "markers", "force")
     path.write_bytes(b"no file of this kind")
     with refused("file-unreadable"):
         read_marker_data(path, "markers", "force")
+
+
+def damaged(made: dict[str, np.ndarray], what: str) -> dict[str, np.ndarray]:
+    """Arrays as a user may have them by mistake."""
+    force, ends, markers = made["force"], made["episode_ends"], made["markers"]
+    gaps, column = markers.copy(), force.copy()
+    gaps[:, 3], column[:, 2] = np.nan, np.nan
+    changed: dict[str, object] = {
+        "a marker that is never seen": {"markers": gaps},
+        "a component that is never there": {"force": column},
+        "markers that do not move": {"markers": np.ones_like(markers)},
+        "markers of another type": {"markers": markers * 1e200},
+        "forces of another type": {"force": force * 1e200},
+        "no frames": {"markers": markers[:0], "force": force[:0]},
+        "ends in a column": {"episode_ends": ends[:, None]},
+        "no ends": {"episode_ends": ends[:0]},
+        "one end, a number": {"episode_ends": np.array(len(force))},
+        "ends as text": {"episode_ends": ends.astype(str)},
+        "ends with a gap": {"episode_ends": np.append(ends[:-1].astype(float), np.nan)},
+        "ends between frames": {"episode_ends": ends - 0.5},
+        "begins in place of ends": {"episode_ends": np.append(0, ends[:-1])},
+        "ends below 0": {"episode_ends": np.append(-8, ends[1:])},
+    }
+    return made | changed[what]
+
+
+DAMAGES = re.findall(r'^ {8}"([^"]+)": \{', inspect.getsource(damaged), re.MULTILINE)
+
+
+@pytest.mark.parametrize("what", DAMAGES)
+def test_damaged_arrays_are_refused(what: str, tmp_path: Path) -> None:
+    path = tmp_path / "data.npz"
+    np.savez(path, **damaged(half_space(np.random.default_rng(6), 10), what))
+    with refused("marker-data-array"):
+        read_marker_data(path, "markers", "force")
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", "bare", "cut"])
+def test_files_that_are_no_npz_are_refused(content: bytes | str, tmp_path: Path) -> None:
+    path = tmp_path / "data.npz"
+    with path.open("wb") as file:
+        np.save(file, np.ones(3)) if content == "bare" else np.savez(file, markers=np.ones(999))
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content == "cut":
+        path.write_bytes(path.read_bytes()[:4000])
+    with refused("file-unreadable"):
+        read_marker_data(path, "markers", "markers2")
+
+
+def test_forces_are_not_read_from_themselves(tmp_path: Path) -> None:
+    np.savez(tmp_path / "data.npz", **half_space(np.random.default_rng(7), 10))
+    with refused("marker-data-array"):
+        read_marker_data(tmp_path / "data.npz", "force", "force")
+
+
+def test_first_frames_that_are_pressed_are_named(tmp_path: Path) -> None:
+    made, path = half_space(np.random.default_rng(8), 10), tmp_path / "data.npz"
+    np.savez(path, **made)
+    _, notes = read_marker_data(path, "markers", "force", rest_first=True)
+    (note,) = notes
+    assert re.match(r"[1-9]\d* of 10 first frames are not at rest", note)
+    made["force"][::8] = 0.0  # as after a tare
+    np.savez(path, **made)
+    assert read_marker_data(path, "markers", "force", rest_first=True)[1] == []
+
+
+def test_a_constant_component_changes_no_other_figure() -> None:
+    made = half_space(np.random.default_rng(9), 12)
+    two = as_data(made | {"force": made["force"][:, :2]})
+    made["force"][:, 2] = 0.3
+    three = judge(as_data(made))
+    for name, one in judge(two).items():
+        np.testing.assert_allclose(three[name].rms_error[:2], one.rms_error, rtol=1e-9)
+
+
+def test_data_that_say_nothing_are_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(10)
+    made, path = half_space(rng, 12), tmp_path / "data.npz"
+    np.savez(path, **made)
+    words = ("import-markers", str(path), "--markers", "markers", "--wrench", "force", "--json")
+    assert json.loads(phytac(*words).stdout)["notes"] == []
+    made["force"] = rng.permutation(made["force"])
+    np.savez(path, **made)
+    (note,) = json.loads(phytac(*words).stdout)["notes"]
+    assert note.startswith("no estimator is much better than the mean of force")
+
+
+def test_missing_and_damaged_chunks(tmp_path: Path) -> None:
+    zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra zarr)")
+    made, source = half_space(np.random.default_rng(11), 12), tmp_path / "task.zarr"
+    root = zarr.open_group(source, mode="w", zarr_format=2)
+    data = root.create_group("data")
+    for name in ("markers", "force"):
+        data.create_array(name, data=made[name], chunks=(8, *made[name].shape[1:]))
+    root.create_group("meta").create_array("episode_ends", data=made["episode_ends"])
+    with refused("marker-data-array") as caught:
+        read_marker_data(source, "markers", "wrench")
+    assert "(it has: force, markers)" in str(caught.value)
+    assert read_marker_data(source, "markers", "force")[1] == []
+    (source / "data/markers/3.0.0").unlink()
+    (note,) = read_marker_data(source, "markers", "force")[1]
+    assert note.startswith("1 of 12 chunks of data/markers are not there and read as 0.0")
+    (source / "data/markers/3.0.0").write_bytes(b"xx")
+    with refused("file-unreadable"):
+        read_marker_data(source, "markers", "force")

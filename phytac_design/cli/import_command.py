@@ -157,11 +157,17 @@ def import_markers(
 
     data, notes = read_marker_data(source, markers, wrench, pad=pad, rest_first=rest_first)
     found = judge(data)
+    none = found["mean"].rms_error
+    if np.all(np.minimum(found["ridge"].rms_error, found["kernel"].rms_error) > 0.9 * none):
+        notes.append(
+            f"no estimator is much better than the mean of {wrench}: do the rows of {markers} and "
+            f"{wrench} belong to the same instants, and are markers in one order in all episodes?"
+        )
     if out:
         write_marker_data(out, data)
     for note in notes:
         say(f"warning: {note}")
-    spread = data.wrench.std(axis=0)
+    spread = np.where(np.ptp(data.wrench, axis=0) > 0.0, data.wrench.std(axis=0), 0.0)
     if as_json:
         print_json(
             {

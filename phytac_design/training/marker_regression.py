@@ -95,8 +95,9 @@ def fit(estimator: str, data: MarkerData) -> tuple[Predict, FloatArray]:
         own = data.of(np.setdiff1d(np.arange(len(data.wrench)), held))
         for each, predict in zip(errors, _regressions(estimator, own), strict=True):
             each[held] = predict(data.displacement[held]) - data.wrench[held]
-    scale = data.wrench.std(axis=0)
-    relative = errors / np.where(scale > 0.0, scale, 1.0)
+    # Rounding makes the deviation of equal numbers more than 0.
+    changes = np.ptp(data.wrench, axis=0) > 0.0
+    relative = errors[..., changes] / data.wrench[:, changes].std(axis=0)
     best = int(np.argmin((relative**2).mean(axis=(1, 2))))
     half_width = np.quantile(np.abs(errors[best]), LEVEL, axis=0)
     return _regressions(estimator, data)[best], half_width
