@@ -25,9 +25,10 @@ from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.io import bundle as bundle_module
 from phytac_decoder.io.bundle import save_bundle
 from phytac_decoder.pipeline.decode import FrameMeasurement
+from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.sensor_loop import Progress
 from phytac_design.cli import decode_command
-from phytac_design.cli.decode_command import FramePrinter, _true_interval, decode
+from phytac_design.cli.decode_command import FramePrinter, _no_forces, _true_interval, decode
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import PhytacError
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
@@ -485,3 +486,9 @@ def test_intervals_hold_the_true_force_on_a_contacts_switches() -> None:
     assert _true_interval(contact, {}) == {}
     contact.markers = np.array([], dtype=int)
     assert _true_interval(contact, {3: 6.0}) == {}
+
+
+def test_a_moved_camera_without_a_rest_frame_names_it() -> None:
+    reading = Reading.none("the camera has turned", "rest-frame-outdated")
+    assert "give --rest FRAME" in str(_no_forces(reading, "toy", with_rest=False))
+    assert str(_no_forces(reading, "toy", with_rest=True)).endswith("the camera has turned")

@@ -162,13 +162,16 @@ def test_the_full_file_is_the_same_design(ask: Any, tmp_path: Path) -> None:
 
 
 def test_wrong_answers_are_asked_again(ask: Any, tmp_path: Path) -> None:
-    shape = (9, "c", 4, 5000, 3, "n", 30)
+    shape = (9, "c", 4, 5000, "40,5 mm", "4 cm", "nan", 3, "n", 30)
     camera = (8, 1280, 720, 359, 130, "y")
     done = ask("../x", "tip", *shape, *camera, 0.5, 0.1, 9, "nylon", 2)
     assert done.exit_code == 0, done.output
     for words in (
         "'../x' is no name",
         "9 is not between 1 and 5",
+        "'40,5 mm' is not a number: write 40.5",
+        "'4 cm' is not a number: it must be in the unit asked for",
+        "nan is not between",
         "'c' is several of these",
         "3 cm are 30 mm. Keep 3 mm?",
     ):

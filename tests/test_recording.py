@@ -1,6 +1,8 @@
 """Recordings as Parquet: the same numbers, with types."""
 
+import contextlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.csv_recording import COLUMNS, Recorder, RegionRecorder
 from phytac_decoder.serving.wire_protocol import MessageBuilder
+from phytac_design.cli.serve_command import open_recorders
 from phytac_design.core.parquet_recording import to_parquet
 from tests.decoder.toy_sensor import toy_bundle
 from tests.refusals import refused
@@ -93,3 +96,10 @@ def test_the_command_reports_its_output_and_overwrites_nothing(tmp_path: Path) -
         to_parquet(contacts, target)
     caught.match("--force")
     assert to_parquet(contacts, target, force=True)[0] == 4
+
+
+def test_csv_is_not_written_under_another_formats_name(tmp_path: Path) -> None:
+    for name in ("press.parquet", "press.JSONL", "press.db3"):
+        with contextlib.ExitStack() as stack, refused("output-kind-unknown"):
+            open_recorders(stack, tmp_path / name, None, SimpleNamespace(regions=()))
+    assert not list(tmp_path.iterdir())

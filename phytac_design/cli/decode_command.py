@@ -183,7 +183,7 @@ def _decode_frame(
     measured = measure_frame(bundle, images)
     reading = read(bundle, measured, chosen)
     if not reading.valid:
-        raise InputError(reading.code, reading.warnings[0])
+        raise _no_forces(reading, bundle.design, with_rest=bool(rest))
     koi, forces = reading.koi, reading.forces_N
     contacts = reading.found.contacts if reading.found else []
     markers, force_N = marker_loads(reading, koi, bundle.position_mm)
@@ -238,6 +238,17 @@ def _decode_frame(
     _print_sums(reading, total_N, truth_N, net)
     typer.echo(f"the frame is {_frame_verdict(reading, float(measured.found.mean()))}")
     next_step(f"phytac live {folder} 0 shows forces of a camera" if rest else GIVE_REST)
+
+
+def _no_forces(reading: "Reading", design: str, *, with_rest: bool) -> InputError:
+    """Error of a frame that was not decoded."""
+    text = reading.warnings[0]
+    if reading.code == "rest-frame-outdated" and not with_rest:
+        text = (
+            f"{text}. Without --rest, that is the design's own picture: {GIVE_REST}; or this is no "
+            f"frame of the sensor {design!r}"
+        )
+    return InputError(reading.code, text)
 
 
 def _frame_verdict(reading: "Reading", found_share: float) -> str:

@@ -369,7 +369,16 @@ def _choose(title: str, items: dict[str, Choice]) -> Choice:
 def _ask_number(text: str, default: float, low: float, high: float) -> float:
     """A number within limits; asks again until it is one."""
     while True:
-        value = float(typer.prompt(text, default=default, type=type(default)))
+        answer = str(typer.prompt(text, default=f"{default:g}")).strip()
+        try:
+            value = float(answer)
+        except ValueError:
+            like = re.fullmatch(r"(\d+(?:[.,]\d+)?)\s*(?:mm|N|px|°)?", answer)
+            fix = (
+                f"write {like[1].replace(',', '.')}" if like else "it must be in the unit asked for"
+            )
+            say(f"{answer!r} is not a number: {fix}")
+            continue
         if low <= value <= high:
             return value
         say(f"{value:g} is not between {low:g} and {high:g}")

@@ -499,11 +499,22 @@ def open_topics(
     return topics, session
 
 
+OTHER_KINDS = (".parquet", ".json", ".jsonl", ".npz", ".h5", ".hdf5", ".bag", ".db3", ".xlsx")
+"""Names of files that programs read as something other than CSV."""
+
+
 def _recorder(path: Path, messages: "MessageBuilder") -> Any:
     """Recorder of contacts as Zarr, or as CSV, by the file's name."""
     from phytac_decoder.serving.csv_recording import Recorder
 
-    if path.suffix.lower() != ".zarr":
+    kind = path.suffix.lower()
+    if kind in OTHER_KINDS:
+        raise OutputError(
+            "output-kind-unknown",
+            f"{path} would hold CSV: recordings are .csv, .mcap, .rrd or .zarr, and decode "
+            "--parquet writes Parquet",
+        )
+    if kind != ".zarr":
         return Recorder(path)
     from phytac_design.core.zarr_recording import ZarrRecorder
 

@@ -699,8 +699,9 @@ def _read_file(folder: Path, table: Mapping[str, Any]) -> bytes:
         size, expected = int(table["file"]["bytes"]), _text(table["file"]["sha256"])
         found = path.stat().st_size
         if found != size:
+            how = "truncated" if found < size else "altered"
             raise InputError(
-                "data-set-altered", f"{path} has {found} bytes, expected {size}: truncated; {AGAIN}"
+                "data-set-altered", f"{path} has {found} bytes, expected {size}: {how}; {AGAIN}"
             )
         data = read_bytes(path, bytes_max=BYTES_MAX)
     except OSError as error:
