@@ -109,7 +109,8 @@ def calibrate_fem(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
         facts["warning"] = (
             f"the data show a modulus beyond {MODULI[0]:g} to {MODULI[1]:g} times the design's "
             f"(it stays at {fit.modulus:g} times): forces of fem, koi_inverse and networks are "
-            "scaled wrongly; check the unit of the forces, and the design's material and thickness"
+            "scaled wrongly; check material, thickness, and the unit of the forces: "
+            "auto has learnt the unit of the data, and says nothing of it when it decodes"
         )
     return fit.model, facts
 
