@@ -263,6 +263,15 @@ def test_frames_are_kept_and_read_alike(tmp_path: Path) -> None:
     assert [float(row[1]) for row in pressed] == pytest.approx(samples.touches.force_N, abs=1e-4)
     assert [row[0] for row in pressed] == [f"{k:06d}" for k in samples.touches.sample]
     assert {f"{row[0]}.png" for row in rows} == set(meta.frames)
+    # And the frame of the unloaded sensor, which no sample needs to be.
+    rest, seen = (
+        read_image(out / name).astype(float) for name in ("rest.png", "frames/000001.png")
+    )
+    again = tmp_path / "again"
+    run(job_of(tables={"solve": solve, "touch": {"samples": 2}}, keep="frames"), again, workers=0)
+    assert (again / "rest.png").read_bytes() == (out / "rest.png").read_bytes()
+    sharp = 6.0 * SMALL.camera.noise_pixel
+    assert 0.0 < np.mean(np.abs(rest - seen).max(axis=2) > sharp) < 0.2
 
 
 def test_inputs_alone_are_the_networks(tmp_path: Path) -> None:

@@ -189,10 +189,12 @@ def _verdict(report: dict[str, Any]) -> str:
     if codes - {"switch-unreadable"}:
         verdict += "; its switches cannot be made (see the error)"
     blind = report["visibility"].get("switch_unreadable", 0)
-    if blind:
-        verdict += f"; about {blind} of {report['markers']['count']} switches cannot be read"
-        verdict += ", too many (see the error)" if "switch-unreadable" in codes else ""
-    return verdict
+    if not blind:
+        return verdict
+    unread = f"about {blind} of {report['markers']['count']} switches cannot be read"
+    if "switch-unreadable" in codes:
+        return f"{unread}, too many (see the error); {verdict}"
+    return f"{verdict}; {unread}"
 
 
 def _blind_share(report: dict[str, Any]) -> float:

@@ -138,9 +138,8 @@ def _say_frames(design: "Design", out: Path) -> None:
     from phytac_design.workflows.simulate import TRUTH
 
     typer.echo(f"true forces of the frames are in {out / TRUTH}")
-    rows = [row.split(",") for row in (out / TRUTH).read_text(encoding="utf-8").splitlines()[1:]]
-    unloaded = next((row[0] for row in rows if row[1] == "0"), "")
     if design.camera.ends == "both":
         return
-    rest = out / "frames" / f"{unloaded}.png" if unloaded else "FRAME of the unloaded sensor"
-    next_step(f"phytac decode exports/{design.name}/decoder {out / 'frames'} --rest {rest}")
+    next_step(
+        f"phytac decode exports/{design.name}/decoder {out / 'frames'} --rest {out / 'rest.png'}"
+    )

@@ -14,7 +14,7 @@ class ShellMaterial:
     Attributes
     ----------
     label : str
-        Kind of resin.
+        Kind of resin or filament.
     modulus_MPa, poisson : float
         Of the table ``material``.
     strain_max : float
@@ -36,6 +36,9 @@ SHELL_MATERIALS = (
     ShellMaterial(
         label="durable resin, like polypropylene", modulus_MPa=1000.0, poisson=0.4, strain_max=0.03
     ),
+    ShellMaterial(
+        label="flexible, Shore 95A (TPU filament)", modulus_MPa=43.8, poisson=0.48, strain_max=0.1
+    ),
     ShellMaterial(label="flexible resin, Shore 80A", modulus_MPa=9.4, poisson=0.48, strain_max=0.1),
     ShellMaterial(label="elastic resin, Shore 50A", modulus_MPa=2.5, poisson=0.48, strain_max=0.2),
 )
@@ -45,3 +48,9 @@ SHELL_MATERIALS = (
 def material_of(modulus_MPa: float) -> ShellMaterial | None:
     """The material of this list with a modulus; None if none has it."""
     return next((one for one in SHELL_MATERIALS if one.modulus_MPa == modulus_MPa), None)
+
+
+def shell_words(modulus_MPa: float) -> str:
+    """What a shell of a modulus is made of."""
+    material = material_of(modulus_MPa)
+    return material.label if material else f"a material of {modulus_MPa:g} MPa"

@@ -12,6 +12,7 @@ import numpy as np
 from phytac_design.core.html import DASH, missing, number
 from phytac_design.engine.stage import Context
 from phytac_design.layout.heights_along import along_mm, middle_mm
+from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
 
 Level = Literal["good", "odd", "bad"]
 Matter = Literal["seen", "printed", "cast", "decoded"]
@@ -248,11 +249,14 @@ def decoded(report: Mapping[str, Any]) -> str:
     frames, points = report["decoder_frames"][best], report["decoder"][best]
     if not points["samples"]:
         return "No simulated contact tripped a switch, so none could be decoded"
+    bent = any(text.startswith("linear-tables") for text in report["limits"])
     return (
         f"Simulated contacts are decoded with a relative error of {percent(points)} and an "
         f"absolute error of {points['mae_N']:.2f} N (means of {points['samples']} held-out ones "
         f"in linear theory), in rendered frames of {percent(frames)} ({frames['samples']}), by the "
         f"estimator {best}"
+        + bent
+        * "; this wall is not linear, and a real one is decoded worse (linear-tables)"
     )
 
 
@@ -315,7 +319,23 @@ def changes_of(context: Context, reasons: Sequence[str], well: Mapping[str, Any]
         *_stiff_remedy(context.facts("underload"), well),
         *_print_remedies(context.facts("printing")),
         *_switch_warnings(context.facts("switch")),
+        *_left_out(context),
     ]
+
+
+def _left_out(context: Context) -> list[str]:
+    """What a build leaves out and goes on: hardware that does not fit, receptors' stiffness."""
+    out = []
+    design = context.design
+    why = context.facts("hardware").get("hardware_left_out", "")
+    if why and design.hardware.parts == "all" and not context.facts("switch")["refused"]:
+        out.append(f"the build has no mount, light ring and other hardware: {why}")
+    if context.accuracy.receptors and (why := unknown_receptors(design)):
+        out.append(
+            f"the wall is computed without its receptors: {why.partition(';')[0]}; change "
+            "receptor.diameter_outer_mm or wall.thickness_mm"
+        )
+    return out
 
 
 def _load_remedy(load: Mapping[str, Any], reasons: Sequence[str]) -> list[str]:

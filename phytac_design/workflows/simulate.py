@@ -300,6 +300,8 @@ def simulate(
         if before:
             progress(f"simulate: {before} of {total} samples were done before")
         sight = observe_rest(job, progress)
+        if job.keep == "frames":
+            write_rest(out, job, sight)
         given = (job.plain(), out, sight)
         said, first = time.monotonic(), 0.0
         missing = [index for index in range(total) if index not in facts]
@@ -323,6 +325,19 @@ def simulate(
         write_samples(out, samples, _info(job, sight), frames=names)
         journal.drop()
     return _result(out, samples, total - before, begin)
+
+
+def write_rest(out: Path, job: Job, sight: ImagingReference) -> None:
+    """Write the frame of the unloaded sensor, one a camera, for decoders that read the others."""
+    imaging = imaging_model(
+        job, views=sight.views, compliance_px=sight.compliance_px, at_rest=sight.rest
+    )
+    count = job.markers.count
+    rng = np.random.default_rng([job.seed, job.plan.touches.samples])
+    still, off = np.zeros((count, 6)), np.zeros(count, dtype=np.bool_)
+    for frame, mark in zip(imaging.frame(still, off, 1.0, rng), CAMERA_SUFFIXES, strict=False):
+        with writing(out):
+            write_atomically(out / f"rest{mark}.png", encode_png(frame))
 
 
 def write_truth(path: Path, samples: Samples) -> None:

@@ -197,7 +197,19 @@ def test_the_recipe_follows_the_way_of_casting_and_the_rubber() -> None:
     assert "silicone by" not in text
     assert "printed plates" in text
     other = copy_of(case, switch={"material": "silicone-a30"})
-    assert "'silicone-a30'" in recipe_text(other, make_recipe(other, 8000.0, 0.0))
+    recipe = make_recipe(other, 8000.0, 0.0)
+    text = recipe_text(other, recipe)
+    assert f"Mix {recipe.rubber_g:.2f} g of silicone-a30 by its maker's ratio" in text
+    for foreign in ("| A |", "Hei-Cast", "65 °C", "A + C", "0.01 g"):
+        assert foreign not in text
+
+
+def test_the_shell_is_of_the_design_s_material() -> None:
+    case = shipped("cylinder60")
+    for modulus_MPa, words in ((2200.0, "tough resin"), (43.8, "TPU"), (77.0, "of 77 MPa")):
+        own = copy_of(case, material={"modulus_MPa": modulus_MPa})
+        (shell, *_) = shell_parts(own, 1000.0)
+        assert words in shell["note"]
 
 
 def test_a_shell_in_pieces_is_listed_by_its_pieces() -> None:

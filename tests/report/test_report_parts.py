@@ -19,7 +19,7 @@ from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.loaded_visibility import LoadedVisibility
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.report import explorer, press_pictures, verdict
-from phytac_design.stages.build import BuildResult
+from phytac_design.stages.build import BuildResult, copy_of
 from phytac_design.stages.loaded_views_stage import Presses
 from tests.designs import small
 
@@ -209,7 +209,8 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
     facts: dict[str, dict[str, Any]] = {
         "underload": {"first_force_N": None},
         "printing": {"files": {"shell/shell.stl": {"violations": []}}},
-        "switch": {"switches": [{"warnings": ["assumed: a rubber"]}]},
+        "switch": {"switches": [{"warnings": ["assumed: a rubber"]}], "refused": ""},
+        "hardware": {"parts": []},
     }
     for name, values in facts.items():
         (tmp_path / name).mkdir()
@@ -229,7 +230,7 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
     files = {"shell/shell.stl": {"violations": [*broken, hole]}, "a.stl": {"violations": []}}
     write_facts(tmp_path / "printing", {"files": files})
     spread = {"warnings": ["assumed: x", "the threshold spreads"]}
-    write_facts(tmp_path / "switch", {"switches": [spread, spread]})
+    write_facts(tmp_path / "switch", {"switches": [spread, spread], "refused": ""})
     found = verdict.changes_of(context, ["2 markers hidden; move the camera back"], {"share": 0.9})
     assert found[0] == "2 markers hidden; move the camera back"
     assert found[1].startswith("from 12.5 N on a marker hides or fuses: ")
@@ -243,6 +244,18 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
         context, ["under load markers hide or fuse from 12.5 N on"], {"share": 0.9}
     )
     assert sum("from 12.5 N" in text for text in again) == 1
+    # What the build goes on without.
+    write_facts(tmp_path / "hardware", {"hardware_left_out": "the ring does not fit"})
+    wide = replace(context.accuracy, receptors=True)
+    thick = copy_of(context.design, wall={"thickness_mm": 3.0})
+    bare = verdict.changes_of(replace(context, design=thick, accuracy=wide), [], {"share": 0.9})
+    assert "the build has no mount, light ring and other hardware: the ring does not fit" in bare
+    (plain,) = (text for text in bare if text.startswith("the wall is computed without its"))
+    tube = thick.receptor.diameter_outer_mm / 3.0
+    assert f"(got {tube:.4g})" in plain
+    none = copy_of(context.design, hardware={"parts": "none"})
+    wanted = verdict.changes_of(replace(context, design=none), [], {"share": 0.9})
+    assert not any("no mount" in text for text in wanted)
 
 
 def test_named_images_become_files() -> None:

@@ -45,6 +45,16 @@ def test_the_error_of_the_forces(built: BuildResult, page: str) -> None:
     assert load_bundle(built.out / "decoder").model.best == best
 
 
+def test_figures_of_a_linear_wall_say_so(built: BuildResult) -> None:
+    report = json.loads((built.out / "report" / "report.json").read_text())
+    real = [text for text in report["limits"] if not text.startswith("linear-tables")]
+    assert "this wall is not linear" not in decoded(report | {"limits": real})
+    bent = [*real, "linear-tables: 52 % off at 10 N"]
+    assert "this wall is not linear, and a real one is decoded worse" in decoded(
+        report | {"limits": bent}
+    )
+
+
 def test_the_bound_of_ten_newtons(built: BuildResult, page: str) -> None:
     report = json.loads((built.out / "report" / "report.json").read_text())
     median = f"{report['resolution']['bound']['10 N']['force_N_median']:.2f} N"

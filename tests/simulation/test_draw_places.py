@@ -143,6 +143,11 @@ def test_no_room_and_empty_parts_are_rejected() -> None:
         plan(scenario(touch=narrow))
     with refused("presses-no-room"):
         plan(scenario(touch=narrow | {"placement": "anywhere"}))
+    # Where there is room for several in some samples, others have one.
+    tight = {"along": [0.5, 0.66], "around": [0.5, 0.56], "samples": 60, "placement": "anywhere"}
+    some = plan(scenario(touch=tight | {"multi_share": 1.0})).touches.counts
+    assert set(some.tolist()) >= {1, 2}
+    assert some.min() == 1
     single = plan(scenario(touch=narrow | {"placement": "anywhere", "multi_share": 0.0}))
     assert (single.touches.counts == 1).all()
     with refused("contact-range-empty"):

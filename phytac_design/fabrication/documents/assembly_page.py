@@ -5,8 +5,9 @@ from html import escape
 from typing import Any
 
 from phytac_design.core.html import figure, page, svg_figure, table
+from phytac_design.design.shell_materials import shell_words
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.recipe import Recipe
+from phytac_design.fabrication.documents.recipe import Recipe, parts_g
 from phytac_design.fabrication.switch_set import SwitchSet
 
 
@@ -79,8 +80,9 @@ def assembly_html(
     colours = " and ".join(dict.fromkeys(design.layout.colours))
     shell = [
         (
-            "Print shell/shell.stl in tough resin as shell/print_report.svg shows, or its pieces "
-            "and glue them on their keys; wash it, cure it"
+            f"Print shell/shell.stl in {shell_words(design.material.modulus_MPa)} as "
+            "shell/print_report.svg shows, or its pieces and glue them on their keys; wash and "
+            "cure resin"
             f"{'; look through every hole' if recipe else ''}."
         ),
         (
@@ -122,9 +124,10 @@ def assembly_html(
     calibrate = [
         "After assembly: run kit/decoder.gcode for data with the switches in.",
     ]
+    parts = ", ".join(f"{name} {g:.2f} g" for name, g in parts_g(design, recipe).items())
     grams = (
-        f"<p>{recipe.rubber_g:.1f} g of rubber in all: A {recipe.a_g:.2f} g, "
-        f"B {recipe.b_g:.2f} g, C {recipe.c_g:.2f} g.</p>"
+        f"<p>{recipe.rubber_g:.1f} g of {escape(design.switch.material)} in all"
+        f"{f': {parts}' if parts else ''}.</p>"
     )
     sections = [
         *pulled,

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
+from phytac_design.design.shell_materials import shell_words
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.bill import bill_part, csv_text
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3
@@ -22,13 +23,14 @@ def shell_parts(
     design: Design, volume_mm3: float, pieces: Sequence[Mapping[str, Any]] = ()
 ) -> list[dict[str, Any]]:
     """The printed shell, or its ``pieces`` (file, volume_mm3), and the pens for its markers."""
-    note = "tough resin; or shell/shell.3mf in several materials, then nothing is painted"
+    material = shell_words(design.material.modulus_MPa)
+    note = f"{material}; or shell/shell.3mf in several materials, then nothing is painted"
     printed = [
         bill_part(
             f"shell, piece {number}",
             file=piece["file"],
             volume_mm3=piece["volume_mm3"],
-            note="tough resin; glued on its keys",
+            note=f"{material}; glued on its keys",
         )
         for number, piece in enumerate(pieces, start=1)
     ] or [bill_part("shell", file="shell/shell.stl", volume_mm3=volume_mm3, note=note)]

@@ -1,6 +1,7 @@
 """Casting recipe: grams of each component, from the volumes of switches and molds.
 
-Ratios, times and temperatures are the paper's: A to C 1 : 5 by weight, (A + C) to B 6 : 1.
+Ratios, times and temperatures are the paper's, for its rubber: A to C 1 : 5 by weight, (A + C) to
+B 6 : 1. Another rubber is mixed as its maker says.
 """
 
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.bill_of_materials import DENSITY_g_cm3
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
 
+PAPER_RUBBER = "tpu-8400n"
 A_TO_C = 5.0
 AC_TO_B = 6.0
 
@@ -92,18 +94,9 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
         trim = " Open at the channel all around; pull off the thin sheet between the bowls."
     return [
         *steps,
-        (
-            f"Work at 25 to 35 °C. Weigh {recipe.a_g:.2f} g of A and {recipe.c_g:.2f} g of C "
-            f"(1 : {A_TO_C:g} by weight) into one cup; stir for 2 min."
-        ),
-        "Degas A + C under vacuum for 5 min.",
-        (
-            f"Pour {recipe.a_g + recipe.c_g:.2f} g of A + C into {recipe.b_g:.2f} g of B "
-            f"({AC_TO_B:g} : 1 by weight); stir for 30 s; degas for 1 min. It sets soon: continue "
-            "at once."
-        ),
+        *_mixing(design, recipe),
         fill.format(volume=f"({recipe.switch_mm3 / 1000.0:.2f} cm³ in all)"),
-        "Cure at 65 °C for 1 h.",
+        "Cure at 65 °C for 1 h." if of_paper(design) else "Let it cure as its maker specifies.",
         (
             f"Demould; the rubber has shrunk by {shrink:.2g} %, which the mold allows for. Sort "
             "the switches by the label beside each cavity."
@@ -117,17 +110,47 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
     ]
 
 
+def of_paper(design: Design) -> bool:
+    """Whether the switches are of the paper's rubber, of which the recipe is known."""
+    return design.switch.material == PAPER_RUBBER
+
+
+def parts_g(design: Design, recipe: Recipe) -> dict[str, float]:
+    """Grams of the rubber's components by name; none for a rubber that is not the paper's."""
+    if not of_paper(design):
+        return {}
+    return {"A": recipe.a_g, "B": recipe.b_g, "C": recipe.c_g}
+
+
+def _mixing(design: Design, recipe: Recipe) -> list[str]:
+    """Steps up to a cup of rubber."""
+    if not of_paper(design):
+        text = (
+            f"Mix {recipe.rubber_g:.2f} g of {design.switch.material} by its maker's ratio; stir "
+            "and degas it as its maker specifies."
+        )
+        return [text]
+    return [
+        (
+            f"Work at 25 to 35 °C. Weigh {recipe.a_g:.2f} g of A and {recipe.c_g:.2f} g of C "
+            f"(1 : {A_TO_C:g} by weight) into one cup; stir for 2 min."
+        ),
+        "Degas A + C under vacuum for 5 min.",
+        (
+            f"Pour {recipe.a_g + recipe.c_g:.2f} g of A + C into {recipe.b_g:.2f} g of B "
+            f"({AC_TO_B:g} : 1 by weight); stir for 30 s; degas for 1 min. It sets soon: continue "
+            "at once."
+        ),
+    ]
+
+
 def recipe_text(design: Design, recipe: Recipe) -> str:
     """Markdown page of the recipe."""
     fine_g = 2.0  # below this a part must be weighed to 0.01 g: a tenth of a gram would be 5 %
     modulus_MPa = rubber_of(design).material.modulus_MPa
-    fine = " Weigh A and B to 0.01 g." if min(recipe.a_g, recipe.b_g) < fine_g else ""
-    rows = [
-        ("A", recipe.a_g),
-        ("B", recipe.b_g),
-        ("C", recipe.c_g),
-        ("rubber in all", recipe.rubber_g),
-    ]
+    parts = parts_g(design, recipe)
+    fine = " Weigh A and B to 0.01 g." if min(parts.values(), default=fine_g) < fine_g else ""
+    rows = [*parts.items(), ("rubber in all", recipe.rubber_g)]
     if recipe.silicone_g > 0.0:
         rows.append(("silicone", recipe.silicone_g))
     lines = [
@@ -149,10 +172,9 @@ def recipe_text(design: Design, recipe: Recipe) -> str:
             "of the switches are painted all the same."
         ),
         "",
-        "Rubber: Hei-Cast 8400N as in the paper. Another one has ratios and times of its own."
-        if design.switch.material == "tpu-8400n"
-        else f"These ratios and times are those of Hei-Cast 8400N; the design names "
-        f"{design.switch.material!r}: follow its maker's.",
+        "Rubber: Hei-Cast 8400N as in the paper."
+        if parts
+        else f"Rubber: {design.switch.material}; its ratios and times are its maker's.",
     ]
     lines.append(
         f"The bowls are designed for a modulus of {modulus_MPa:.3g} MPa. This mix is not known to "

@@ -112,11 +112,12 @@ def receptor_effect(
         ("hole over tube diameter", q, HOLE_OVER_DIAMETER),
     ):
         if not np.all((value >= axis[0] - 1e-9) & (value <= axis[-1] + 1e-9)):
+            got = " … ".join(dict.fromkeys(f"{x:.4g}" for x in (np.min(value), np.max(value))))
             raise DesignError(
                 "receptor-stiffness-range",
-                f"receptor stiffness: {label} is known from {axis[0]:g} to {axis[-1]:g} (got "
-                f"{np.min(value):.4g} … {np.max(value):.4g}); change receptor diameters or wall "
-                "thickness, or model the shell without receptors",
+                f"receptor stiffness: {label} is known from {axis[0]:g} to {axis[-1]:g} (got {got})"
+                "; change receptor diameters or wall thickness, or leave receptors out: press "
+                "--no-receptors, build --set receptors=false",
             )
 
     def axes(d: FloatArray, q: FloatArray, h: FloatArray) -> tuple[FloatArray, ...]:

@@ -281,8 +281,12 @@ class _Draw:
             kept.append(rows.take(np.array(chosen, dtype=np.int64)))
             lacking = np.array([k for k in lacking if len(taken[k]) < wanted[k]], dtype=np.int64)
             tried += count
+        several = wanted > 1
+        cramped = several & (np.array([len(own) for own in taken]) < 2)
         for k in lacking:
-            self.reject_cramped(int(numbers[k]), len(taken[k]), int(wanted[k]))
+            # One contact is enough where others have room for several.
+            enough = 2 if cramped[several].all() else 1
+            self.reject_cramped(int(numbers[k]), len(taken[k]), min(int(wanted[k]), enough))
         if not kept:
             return self.candidates(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros((0, self.draws)))
         whole = concatenate_contacts(kept, len(numbers))
@@ -294,8 +298,8 @@ class _Draw:
         return all(np.linalg.norm(at - other) > room + own for other, own in taken)
 
     def reject_cramped(self, number: int, got: int, wanted: int) -> None:
-        """Reject a sample with no contact, or with one where several were due."""
-        if got < min(wanted, 2):
+        """Reject a sample with fewer contacts than it must have."""
+        if got < wanted:
             what = "a contact" if got == 0 else "two contacts apart from each other"
             raise DesignError(
                 "presses-no-room",

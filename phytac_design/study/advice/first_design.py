@@ -14,12 +14,14 @@ import numpy as np
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.shell_materials import SHELL_MATERIALS, ShellMaterial
 from phytac_design.design.spec import Design
+from phytac_design.mechanics.shell.receptor_stiffness import DIAMETER_OVER_T
 from phytac_design.rules.check import check_design
+from phytac_design.simulation.scenario.linear_error import linear_error
 from phytac_design.study.advice.design_variables import with_fields
 from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_design.study.advice.quick_repair import seen_at_rest
 from phytac_design.study.search.surrogate import predict
-from phytac_shapes.errors import DesignError, PhytacError
+from phytac_shapes.errors import DesignError, NumericalError, PhytacError
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,9 @@ MARKERS_MIN = 8
 WALLS_mm = (0.8, 1.0, 1.2, 1.6, 2.0, 2.5, 3.0)
 ERROR_MAX = 0.02
 """Predicted standard deviation of a force, over the largest one, that the shell must allow."""
-DENT_MAX = 1.0
-"""Deepest dent over the wall's thickness; beyond, walls are far from linear."""
+LINEAR_ERROR_EASY, LINEAR_ERROR_MAX = 0.3, 1.0
+"""Error of linear theory at the largest force: of a wall that is nearly linear, and beyond which
+walls are far from it, and may snap."""
 
 
 def first_design(
@@ -74,7 +77,8 @@ def first_design(
     camera : dict
         Table ``camera``.
     force_min_N, force_max_N : float
-        Expected forces of a contact. The wall is the thinnest that bears the largest one.
+        Expected forces of a contact. The wall is the thinnest that bears the largest one
+        and is nearly linear.
     material : ShellMaterial, optional
         Of the shell; the stiffest with which forces are read to ``ERROR_MAX`` if not given.
 
@@ -181,16 +185,46 @@ def _ratio(sizes_mm: dict[str, float], base: dict[str, Any], fields: tuple[str, 
 def _with_shell(design: Design, materials: Sequence[ShellMaterial]) -> Design:
     """The design with a shell that bears its largest force, and moves enough to show it.
 
-    Each material has the thinnest wall that bears the force; the thickest if none does. The first
-    with which forces are read to ``ERROR_MAX`` is taken, else the one that reads them best.
+    Taken is the first material of which a nearly linear wall reads forces to ``ERROR_MAX``; walls
+    whose receptors' stiffness is known come first. If there is none, it is the wall nearest to
+    linear of those that bear the force and read it so well, or the one that reads it best of those
+    that bear it; where none bears it, the stiffest.
     """
-    tried = []
-    for material in materials:
-        shell = with_thinnest_wall(design, material, WALLS_mm)
-        if shell.error <= ERROR_MAX:
-            return shell.design
-        tried.append(shell)
-    return min(tried, key=lambda one: one.error).design
+    most_N = design.training.force_max_N
+    thickest_mm = design.receptor.diameter_outer_mm / DIAMETER_OVER_T[0]
+    walls = [(material, one) for material in materials for one in WALLS_mm]
+    walls.sort(key=lambda each: each[1] > thickest_mm)
+    stiff: set[ShellMaterial] = set()
+    bent: list[tuple[float, Design]] = []
+    read: list[tuple[float, Design]] = []
+    for material, thickness_mm in walls:
+        own, bears, error = _with_wall(design, material, thickness_mm)
+        if not bears or material in stiff:
+            continue
+        if error > LINEAR_ERROR_EASY:
+            bent.append((error, own))
+            continue
+        sd_N = force_sd_N(own)
+        if sd_N <= ERROR_MAX * most_N:
+            return own
+        read.append((sd_N, own))
+        stiff.add(material)  # thicker walls show less
+    for _, own in sorted(bent, key=lambda each: each[0]):
+        sd_N = force_sd_N(own)
+        if sd_N <= ERROR_MAX * most_N:
+            return own
+        read.append((sd_N, own))
+    if not read:
+        return _with_wall(design, materials[0], WALLS_mm[-1])[0]
+    return min(read, key=lambda each: each[0])[1]
+
+
+def _linear_error(design: Design) -> float:
+    """Error of linear theory at the largest force; infinite where that has no solution."""
+    try:
+        return linear_error(check_design(design), None)
+    except NumericalError:
+        return float("inf")
 
 
 class PredictedShell(NamedTuple):
@@ -219,14 +253,27 @@ def with_thinnest_wall(
     DesignError
         If a rule rejects a wall that is tried.
     """
-    shell = {"modulus_MPa": material.modulus_MPa, "poisson": material.poisson}
-    fields = {f"material.{name}": value for name, value in shell.items()}
     for thickness_mm in walls_mm:
-        own = with_fields(design, fields | {"wall.thickness_mm": thickness_mm})
-        sensor = check_design(own)
-        found = predict(sensor, sensor.cameras, np.ones(sensor.markers.count, dtype=np.bool_))
-        deepest = found.dent_mm.max() / thickness_mm
-        bears = bool(found.strain.max() <= material.strain_max and deepest <= DENT_MAX)
+        own, bears, _ = _with_wall(design, material, thickness_mm)
         if bears:
             break
     return PredictedShell(own, bears, force_sd_N(own) / design.training.force_max_N)
+
+
+def _with_wall(
+    design: Design, material: ShellMaterial, thickness_mm: float
+) -> tuple[Design, bool, float]:
+    """The design with a wall, whether that bears the largest force, and linear theory's error."""
+    own = with_fields(
+        design,
+        {
+            "material.modulus_MPa": material.modulus_MPa,
+            "material.poisson": material.poisson,
+            "wall.thickness_mm": thickness_mm,
+        },
+    )
+    sensor = check_design(own)
+    found = predict(sensor, sensor.cameras, np.ones(sensor.markers.count, dtype=np.bool_))
+    error = _linear_error(own)
+    bears = found.strain.max() <= material.strain_max and error <= LINEAR_ERROR_MAX
+    return own, bool(bears), error

@@ -18,7 +18,7 @@ from phytac_shapes.errors import DesignError
 
 THIN_mm = (0.5, 0.6)
 """Walls that are tried below those of a first design, where the printer makes them."""
-TRIED_MAX = 3
+TRIED_MAX = 4
 """Changes that are evaluated at most."""
 
 
