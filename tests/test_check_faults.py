@@ -19,9 +19,10 @@ from phytac_design.design.spec import Design
 from phytac_design.design.unit_hints import unit_hints
 from phytac_design.rules.check import RULES, broken_rules, check_design
 from phytac_design.rules.design_review import checkup
+from phytac_design.simulation.scenario.linear_error import NEARLY_LINEAR, linear_error
 from phytac_design.study.advice.quick_repair import quick_repair, readable_switches, seen_at_rest
 from phytac_design.workflows import design_check
-from phytac_design.workflows.design_check import unreadable_fault
+from phytac_design.workflows.design_check import snapping_words, unreadable_fault
 from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 from tests.refusals import refused
@@ -317,3 +318,15 @@ def test_a_rule_that_advice_satisfies(tmp_path: Path, monkeypatch: pytest.Monkey
     out = phytac("check", "mine.toml", cwd=tmp_path)
     assert out.stdout == "this repairs it: receptor.diameter_outer_mm 3 → 3.1 mm\n"
     assert "error[tube-wall-too-thin]" in out.stderr
+
+
+def test_a_shell_that_snaps_under_its_largest_force_is_named() -> None:
+    assert snapping_words(changed("hemisphere")) == []
+    soft = changed("hemisphere", material={"modulus_MPa": 9.4, "poisson": 0.48})
+    (words,) = snapping_words(soft)
+    assert words.startswith("the shell does not bear its largest force of 25 N in the middle: ")
+    assert "wall.thickness_mm" in words
+    # Far from linear, and stiffer by that: it does not snap.
+    flat = changed("plane", training={"force_max_N": 8.0})
+    assert linear_error(check_design(flat), None) > NEARLY_LINEAR
+    assert snapping_words(flat) == []

@@ -4,9 +4,14 @@ from collections.abc import Callable
 from typing import Any
 
 from phytac_design.design.spec import Design
+from phytac_design.mechanics.pressing.contact_patch import parse_contact_patch
+from phytac_design.mechanics.pressing.press import press
+from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
+from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
+from phytac_design.simulation.scenario.linear_error import NEARLY_LINEAR, linear_error
 from phytac_design.workflows.switch_feasibility import check_thresholds
-from phytac_shapes.errors import DesignError
+from phytac_shapes.errors import DesignError, NumericalError
 
 UNREADABLE_SHARE_MAX = 0.25
 """A design passes with up to this share of switches that the camera cannot read: shipped designs
@@ -32,6 +37,7 @@ def full_check(
     """
     report = checkup(design, seed=seed, progress=progress)
     report["visible"] = report["clear"]
+    report["warnings"] += snapping_words(design, progress=progress)
     blind = report["visibility"].get("switch_unreadable", 0)
     faults = [
         {"code": fault.code, "text": str(fault)}
@@ -42,6 +48,36 @@ def full_check(
         if fault
     ]
     return report | ({"clear": False, "faults": faults} if faults else {})
+
+
+def snapping_words(
+    design: Design, *, progress: Callable[[str], None] = lambda _: None
+) -> list[str]:
+    """Warning of a shell that snaps under a press of its largest force in the middle; none else.
+
+    Pressed with large displacements on a coarse mesh, where linear theory is far off.
+    """
+    sensor, force_N = check_design(design), design.training.force_max_N
+    try:
+        if linear_error(sensor, None) <= NEARLY_LINEAR:
+            return []
+        progress("pressing the shell with its largest force")
+        place = parse_contact_patch(
+            sensor, force_N=force_N, radius_mm=design.training.patch_radius_min_mm
+        )
+        result = press(sensor, place, refine=2, receptors=not unknown_receptors(design))
+    except NumericalError as error:
+        why = str(error).partition(";")[0]
+    else:
+        if not result.jumped and result.stable is not False:
+            return []
+        why = "it snaps, or may snap, before that"
+    text = (
+        f"the shell does not bear its largest force of {force_N:g} N in the middle: {why}; take a "
+        "thicker wall (wall.thickness_mm), a stiffer material (material.modulus_MPa), or a smaller "
+        "training.force_max_N"
+    )
+    return [text]
 
 
 def unreadable_fault(unreadable: int, switches: int) -> DesignError | None:

@@ -9,6 +9,9 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.simulation.scenario.scene_scope import Scope
 
+NEARLY_LINEAR = 0.3
+"""Error of linear theory up to which a wall is taken as nearly linear: it does not snap."""
+
 
 def linear_error(sensor: Sensor, scope: Scope | None) -> float:
     """Error of linear theory at the largest force, over the largest motion, with its safety factor.

@@ -16,7 +16,7 @@ from phytac_design.design.shell_materials import SHELL_MATERIALS, ShellMaterial
 from phytac_design.design.spec import Design
 from phytac_design.mechanics.shell.receptor_stiffness import DIAMETER_OVER_T
 from phytac_design.rules.check import check_design
-from phytac_design.simulation.scenario.linear_error import linear_error
+from phytac_design.simulation.scenario.linear_error import NEARLY_LINEAR, linear_error
 from phytac_design.study.advice.design_variables import with_fields
 from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_design.study.advice.quick_repair import seen_at_rest
@@ -50,9 +50,8 @@ MARKERS_MIN = 8
 WALLS_mm = (0.8, 1.0, 1.2, 1.6, 2.0, 2.5, 3.0)
 ERROR_MAX = 0.02
 """Predicted standard deviation of a force, over the largest one, that the shell must allow."""
-LINEAR_ERROR_EASY, LINEAR_ERROR_MAX = 0.3, 1.0
-"""Error of linear theory at the largest force: of a wall that is nearly linear, and beyond which
-walls are far from it, and may snap."""
+LINEAR_ERROR_MAX = 1.0
+"""Error of linear theory at the largest force, beyond which walls are far from linear."""
 
 
 def first_design(
@@ -201,7 +200,7 @@ def _with_shell(design: Design, materials: Sequence[ShellMaterial]) -> Design:
         own, bears, error = _with_wall(design, material, thickness_mm)
         if not bears or material in stiff:
             continue
-        if error > LINEAR_ERROR_EASY:
+        if error > NEARLY_LINEAR:
             bent.append((error, own))
             continue
         sd_N = force_sd_N(own)
