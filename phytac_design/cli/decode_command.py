@@ -253,11 +253,13 @@ def _no_forces(reading: "Reading", design: str, *, with_rest: bool) -> InputErro
 
 def _frame_verdict(reading: "Reading", found_share: float) -> str:
     """Whether a frame is good, or why it is doubtful."""
-    from phytac_decoder.pipeline.decode import FOUND_WELL
+    from phytac_decoder.pipeline.decode import FOUND_WELL, OVER_END
 
-    if reading.warnings:
-        return f"doubtful: {reading.warnings[0]}"
-    return f"good: {found_share:.0%} of the markers found (needs {FOUND_WELL:.0%})"
+    of_frame = [text for text in reading.warnings if OVER_END not in text]
+    if of_frame:
+        return f"doubtful: {of_frame[0]}"
+    good = f"good: {found_share:.0%} of the markers found (needs {FOUND_WELL:.0%})"
+    return "; but ".join([good, *reading.warnings])
 
 
 def _print_sums(

@@ -141,6 +141,7 @@ BENCH = Stage(
         "bench",
         "hardware",
         "print_rules",
+        "material.modulus_MPa",
     ),
     settings=("cad_tolerance_mm",),
     depends_on=("shell", "switch", "printing", *OTHERS),

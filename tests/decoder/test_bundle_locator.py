@@ -338,3 +338,17 @@ def test_damaged_settings_are_rejected(
     path.write_text(json.dumps(meta))
     with refused(code):
         load_bundle(tmp_path)
+
+
+def test_forces_in_another_unit_are_a_limit(tmp_path: Path) -> None:
+    saved = bundle()
+    locator = saved.model.locator
+    assert locator is not None
+    assert locator.correction is not None
+    usual = ((1.0, False), (2.5, False), (0.4, False))
+    for stiffness, named in (*usual, (1.0 / 9.81, True), (102.0, True)):
+        own = replace(locator, correction=replace(locator.correction, stiffness=stiffness))
+        save_bundle(replace(saved, model=replace(saved.model, locator=own)), tmp_path)
+        words = [text for text in load_bundle(tmp_path).limits() if "stiffness-unlikely" in text]
+        assert len(words) == named
+        assert all(f"{stiffness:.2g} times as stiff" in text for text in words)

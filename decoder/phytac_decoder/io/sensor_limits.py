@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
 NOISE_SHARE_MAX = 0.2
 """Largest noise of a force that can be used, as a share of the greatest force."""
+STIFFNESS_MAX = 3.0
+"""Largest ratio of a print's stiffness to its design's, either way, that is not mentioned: moduli
+of printed resins are known to a factor of two."""
 LINEAR_ERROR_MAX = 0.05
 """Linear tables that are less far off at the greatest force are not mentioned."""
 
@@ -80,6 +83,13 @@ def _table_limits(locator: ContactLocator | None) -> list[str]:
         out.append(
             "this decoder was built before force along the surface was estimated: friction is read "
             "as normal force, or as contacts that do not exist; build and train it again"
+        )
+    fitted = locator.correction
+    if fitted and not 1.0 / STIFFNESS_MAX <= fitted.stiffness <= STIFFNESS_MAX:
+        out.append(
+            f"stiffness-unlikely: the data of this decoder are of a wall {fitted.stiffness:.2g} "
+            "times as stiff as the design's: if its material and thickness are those of the print, "
+            "the forces of the data are in another unit, and all forces are wrong by that"
         )
     error = locator.linear_error
     if locator.as_if_linear and error > LINEAR_ERROR_MAX:

@@ -30,6 +30,8 @@ count as found when a frame is accepted or rejected."""
 
 Frames = ImageArray | Sequence[ImageArray]
 """A frame of each camera, in the bundle's order; one camera's may stand alone."""
+OVER_END = "reach over the end of the sensing surface"
+"""Part of the warning of such contacts; the others of their frame are sound."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,8 +288,8 @@ def over_rims(found: ContactDetection, places: ResponseTable, *, inside: float =
         return []
     forces = ", ".join(f"{one.force_N:.1f}" for one in over)
     words = (
-        f"contacts of {forces} N reach over the end of the sensing surface: what presses beyond it "
-        "is not measured, and force and place are hard to tell apart there"
+        f"contacts of {forces} N {OVER_END}: what presses beyond it is not measured, and force and "
+        "place are hard to tell apart there"
     )
     return [words]
 
