@@ -306,6 +306,8 @@ def test_a_designs_text_is_no_markup(seen: Seen) -> None:
     text = "<img src=x onerror=window.hit=1>`<b>`"
     page.get_by_label("description", exact=True).fill(text)
     page.get_by_label("description", exact=True).press("Tab")
+    # A draft of an undo before would write its values over what is typed.
+    page.locator("body:not([data-state='drawing'])").wait_for()
     page.locator("[data-path='layout.colours'] input").fill('["<img src=x onerror=window.hit=1>"]')
     page.locator("[data-path='layout.colours'] input").press("Tab")
     page.locator("[data-path='layout.colours'] .err").filter(has_text="<img").wait_for()
