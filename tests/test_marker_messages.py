@@ -210,7 +210,7 @@ def test_folders_and_bags(tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
     data, _ = read_marker_data(tmp_path, "/markers", "/wrench")
     assert np.bincount(data.episode).tolist() == [8] * 12
-    # Clocks may begin anew.
+    # Clocks may restart.
     (tmp_path / "metadata.yaml").unlink()
     record(tmp_path / "b.mcap", made, range(44, 96), kinds, start_ns=START_NS - 11 * APART_NS)
     data, notes = read_marker_data(tmp_path, "/markers", "/wrench", rest_first=True)

@@ -22,6 +22,7 @@ from phytac_design.design.shell_materials import SHELL_MATERIALS, ShellMaterial
 from phytac_design.design.spec import CameraSection
 from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.design_review import checkup
+from phytac_design.study.advice import first_design as first_design_module
 from phytac_design.study.advice.design_evaluation import strain_of
 from phytac_design.study.advice.first_design import (
     ERROR_MAX,
@@ -31,6 +32,7 @@ from phytac_design.study.advice.first_design import (
 )
 from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_design.workflows import switch_feasibility
+from phytac_shapes.errors import DesignError
 from tests.refusals import refused
 
 SMALL: dict[str, dict[str, float]] = {
@@ -228,3 +230,20 @@ def test_short_files_keep_what_follows_other_fields(tables: dict[str, Any]) -> N
     shape = {"kind": "cylinder", "diameter_outer_mm": 60.0, "length_mm": 120.0}
     design = parse_design({"name": "a", "shape": shape, **tables}, "design")
     assert parse_design(tomllib.loads(to_short_toml(design)), "short") == design
+
+
+def test_a_rejected_wall_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    exact = first_design_module._with_wall
+
+    def rejecting(design: Any, material: ShellMaterial, thickness_mm: float) -> Any:
+        if thickness_mm > 1.0:
+            raise DesignError("wall-rejected", "too thick")
+        return exact(design, material, thickness_mm)
+
+    monkeypatch.setattr(first_design_module, "_with_wall", rejecting)
+    design = made("hemisphere", most_N=8.0)
+    assert design.wall.thickness_mm <= 1.0
+    # Also where no wall that is left reads the force well.
+    tough = made("hemisphere", most_N=8.0, material=SHELL_MATERIALS[0])
+    assert tough.wall.thickness_mm <= 1.0
+    assert force_sd_N(tough) > ERROR_MAX * 8.0

@@ -324,7 +324,7 @@ def changes_of(context: Context, reasons: Sequence[str], well: Mapping[str, Any]
 
 
 def _left_out(context: Context) -> list[str]:
-    """What a build leaves out and goes on: hardware that does not fit, receptors' stiffness."""
+    """What a build leaves out: hardware that does not fit, the stiffness of receptors."""
     out = []
     design = context.design
     why = context.facts("hardware").get("hardware_left_out", "")

@@ -257,19 +257,35 @@ def _picture(candidate: Candidate, camera: Camera, side_px: int) -> Json:
     """Image and marker numbers of one camera, and the image position of each marker's end, px."""
     surface, markers = candidate.sensor.surface, candidate.sensor.markers
     small = small_camera(camera, side_px)
-    scene = _scene(candidate, small, 2.0)
-    frame = render_frame(scene, small, samples=2)
-    owner = paint_owner(rasterise(scene, small).part)
     return {
         "end": "far" if camera.rotation[2, 2] < 0.0 else "near",
         "stand_off_mm": stand_off_mm(candidate.design, surface, camera),
-        "width": small.width_px,
-        "height": small.height_px,
         "of_width": camera.width_px,
         "of_height": camera.height_px,
-        "jpeg": encoded(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 88])[1]),
-        "ids": encoded(cv2.imencode(".png", id_image(owner), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]),
-        "tip_px": np.round(small.project(markers.tip_mm), 3).tolist(),
+        **rendered(_scene(candidate, small, 2.0), small, markers.tip_mm),
+    }
+
+
+def rendered(scene: RenderScene, camera: Camera, tip_mm: FloatArray) -> Json:
+    """Image of a scene, marker numbers of its pixels, and image positions of markers' ends, px.
+
+    Parameters
+    ----------
+    scene : RenderScene
+        The scene.
+    camera : Camera
+        Camera with the image's pixels.
+    tip_mm : (n, 3) float
+        Ends of the markers.
+    """
+    frame = render_frame(scene, camera, samples=2)
+    owner = paint_owner(rasterise(scene, camera).part)
+    return {
+        "width": camera.width_px,
+        "height": camera.height_px,
+        "jpeg": _base64(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 88])[1]),
+        "ids": _base64(cv2.imencode(".png", id_image(owner), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]),
+        "tip_px": np.round(camera.project(tip_mm), 3).tolist(),
     }
 
 
@@ -279,6 +295,5 @@ def id_image(owner: NDArray[np.int32]) -> ImageArray:
     return np.stack([np.zeros_like(code), code >> 8, code & 255], axis=-1).astype(np.uint8)
 
 
-def encoded(data: Any) -> str:
-    """Bytes as base64 text."""
+def _base64(data: Any) -> str:
     return b64encode(bytes(data)).decode()

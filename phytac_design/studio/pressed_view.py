@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import cv2
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
@@ -19,14 +18,11 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.pressed_scene import PressedScene
-from phytac_design.optics.raster import rasterise
-from phytac_design.optics.render_scene import paint_owner
 from phytac_design.rules.check import check_design
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.linear_response import motion_responses
-from phytac_design.studio.draft import encoded, id_image, small_camera
+from phytac_design.studio.draft import rendered, small_camera
 from phytac_design.studio.latest_only import Check
 from phytac_shapes.arrays import FloatArray
 
@@ -182,24 +178,11 @@ class PressView:
         pictures = []
         for view, scenes in zip(self.cameras, self._scenes, strict=True):
             check()
-            scene = scenes.scene(motion, on)
-            frame = render_frame(scene, view, samples=2)
-            owner = paint_owner(rasterise(scene, view).part)
             tips = markers.tip_mm - markers.mid_mm
             moved = markers.tip_mm + motion[:, :3] + np.cross(motion[:, 3:], tips)
             press = view.project(self._inner_mm(uv[None]))[0]
-            pictures.append(
-                {
-                    "width": view.width_px,
-                    "height": view.height_px,
-                    "jpeg": encoded(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 88])[1]),
-                    "ids": encoded(
-                        cv2.imencode(".png", id_image(owner), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
-                    ),
-                    "tip_px": np.round(view.project(moved), 3).tolist(),
-                    "press": ((press + 0.5) / [view.width_px, view.height_px]).tolist(),
-                }
-            )
+            place = ((press + 0.5) / [view.width_px, view.height_px]).tolist()
+            pictures.append(rendered(scenes.scene(motion, on), view, moved) | {"press": place})
         away = np.linalg.norm(surface.point(markers.uv) - surface.point(uv[None]), axis=1)
         nearest = int(away.argmin())
         drawn: Json = finite(

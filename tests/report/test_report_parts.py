@@ -244,7 +244,7 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
         context, ["under load markers hide or fuse from 12.5 N on"], {"share": 0.9}
     )
     assert sum("from 12.5 N" in text for text in again) == 1
-    # What the build goes on without.
+    # What the build leaves out.
     write_facts(tmp_path / "hardware", {"hardware_left_out": "the ring does not fit"})
     wide = replace(context.accuracy, receptors=True)
     thick = copy_of(context.design, wall={"thickness_mm": 3.0})

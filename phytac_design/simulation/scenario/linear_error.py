@@ -10,7 +10,8 @@ from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unkno
 from phytac_design.simulation.scenario.scene_scope import Scope
 
 NEARLY_LINEAR = 0.3
-"""Error of linear theory up to which a wall is taken as nearly linear: it does not snap."""
+"""Error of linear theory up to which a wall is taken as nearly linear, and as one that does not
+snap: at a limit point the expansion is off by more."""
 
 
 def linear_error(sensor: Sensor, scope: Scope | None) -> float:

@@ -87,14 +87,17 @@ def first_design(
         If a value is not acceptable, or no layout that is tried passes.
     """
     least = "no layout was tried"
-    for data in _candidates(name, kind, sizes_mm, camera, (force_min_N, force_max_N)):
+    layouts = list(_candidates(name, kind, sizes_mm, camera, (force_min_N, force_max_N)))
+    # Layouts that leave no room for a good shell come last.
+    for any_shell, data in product((False, True), layouts):
         design = parse_design(data, f"new design {name!r}")
         if design.layout.wanted < MARKERS_MIN:
             least = f"{design.layout.wanted} markers, fewer than {MARKERS_MIN}"
             continue
         progress(f"trying {design.layout.wanted} markers")
         try:
-            design = _with_shell(design, (material,) if material else SHELL_MATERIALS)
+            materials = (material,) if material else SHELL_MATERIALS
+            design = _with_shell(design, materials, any_shell=any_shell)
             seen = seen_at_rest(check_design(design))
         except PhytacError as error:
             least = str(error)
@@ -181,25 +184,30 @@ def _ratio(sizes_mm: dict[str, float], base: dict[str, Any], fields: tuple[str, 
     return float(sum(sizes_mm[field] for field in own) / sum(base[field] for field in own))
 
 
-def _with_shell(design: Design, materials: Sequence[ShellMaterial]) -> Design:
+def _with_shell(design: Design, materials: Sequence[ShellMaterial], *, any_shell: bool) -> Design:
     """The design with a shell that bears its largest force, and moves enough to show it.
 
     Taken is the first material of which a nearly linear wall reads forces to ``ERROR_MAX``; walls
     whose receptors' stiffness is known come first. If there is none, it is the wall nearest to
     linear of those that bear the force and read it so well, or the one that reads it best of those
     that bear it; where none bears it, the stiffest.
+
+    Parameters
+    ----------
+    any_shell : bool
+        Whether walls that a rule rejects are left out also where no other reads forces so well.
+
+    Raises
+    ------
+    DesignError
+        If a rule rejects a wall, and no other reads forces to ``ERROR_MAX``.
     """
     most_N = design.training.force_max_N
-    thickest_mm = design.receptor.diameter_outer_mm / DIAMETER_OVER_T[0]
-    walls = [(material, one) for material in materials for one in WALLS_mm]
-    walls.sort(key=lambda each: each[1] > thickest_mm)
     stiff: set[ShellMaterial] = set()
+    rejected: list[DesignError] = []
     bent: list[tuple[float, Design]] = []
     read: list[tuple[float, Design]] = []
-    for material, thickness_mm in walls:
-        own, bears, error = _with_wall(design, material, thickness_mm)
-        if not bears or material in stiff:
-            continue
+    for material, own, error in _bearing_walls(design, materials, stiff, rejected):
         if error > NEARLY_LINEAR:
             bent.append((error, own))
             continue
@@ -213,9 +221,37 @@ def _with_shell(design: Design, materials: Sequence[ShellMaterial]) -> Design:
         if sd_N <= ERROR_MAX * most_N:
             return own
         read.append((sd_N, own))
+    if rejected and not any_shell:
+        raise rejected[0]
     if not read:
         return _with_wall(design, materials[0], WALLS_mm[-1])[0]
     return min(read, key=lambda each: each[0])[1]
+
+
+def _bearing_walls(
+    design: Design,
+    materials: Sequence[ShellMaterial],
+    left_out: set[ShellMaterial],
+    rejected: list[DesignError],
+) -> Iterator[tuple[ShellMaterial, Design, float]]:
+    """Yield walls that bear the largest force, and the error of linear theory there.
+
+    The thinnest of a material come first, and those whose receptors' stiffness is known before all
+    others. Materials that the caller puts into ``left_out`` are not tried; the errors of walls that
+    a rule rejects are put into ``rejected``.
+    """
+    thickest_mm = design.receptor.diameter_outer_mm / DIAMETER_OVER_T[0]
+    walls = [(material, one) for material in materials for one in WALLS_mm]
+    for material, thickness_mm in sorted(walls, key=lambda each: each[1] > thickest_mm):
+        if material in left_out:
+            continue
+        try:
+            own, bears, linear = _with_wall(design, material, thickness_mm)
+        except DesignError as error:
+            rejected.append(error)
+            continue
+        if bears:
+            yield material, own, linear
 
 
 def _linear_error(design: Design) -> float:
