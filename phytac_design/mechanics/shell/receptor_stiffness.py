@@ -14,7 +14,9 @@ Two numbers for each element match both factors exactly: with t' = t √(r_b / r
 E' = E r_m t / t' the element has E' t' = r_m E t and E' t'³ = r_b E t³.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -104,8 +106,6 @@ def receptor_effect(
     DesignError
         If the tube is thinner or wider, or its hole wider, than the tables go.
     """
-    from scipy.interpolate import RegularGridInterpolator
-
     d, q, h = np.broadcast_arrays(diameter_over_t, hole_over_diameter, height_over_t)
     for label, value, axis in (
         ("tube diameter over wall thickness", d, DIAMETER_OVER_T),
@@ -120,24 +120,33 @@ def receptor_effect(
                 "--no-receptors, build --set receptors=false",
             )
 
-    def axes(d: FloatArray, q: FloatArray, h: FloatArray) -> tuple[FloatArray, ...]:
-        # In these coordinates the tables are close to linear.
-        return np.log(d), q * q, 1.0 - np.exp(-2.0 * h)
-
     low, high = DIAMETER_OVER_T[[0, -1]]
-    at = axes(
+    at = _axes(
         np.clip(d, low, high),
         np.clip(q, 0.0, HOLE_OVER_DIAMETER[-1]),
         np.clip(h, 0.0, HEIGHT_OVER_T[-1]),
     )
-    grid = axes(DIAMETER_OVER_T, HOLE_OVER_DIAMETER, HEIGHT_OVER_T)
     # Receptors of a row are alike, and the interpolation takes each point by itself.
     points, alike = np.unique(np.stack(at, axis=-1).reshape(-1, 3), axis=0, return_inverse=True)
-    membrane, bending = (
-        RegularGridInterpolator(grid, table, method="pchip")(points)[alike].reshape(d.shape)
+    membrane, bending = (table(points)[alike].reshape(d.shape) for table in _tables())
+    return membrane, bending
+
+
+def _axes(d: FloatArray, q: FloatArray, h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coordinates in which the tables are close to linear."""
+    return np.log(d), q * q, 1.0 - np.exp(-2.0 * h)
+
+
+@cache
+def _tables() -> tuple[Callable[[FloatArray], FloatArray], ...]:
+    """Interpolated effects on membrane and bending stiffness, of :func:`_axes` (n, 3)."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    grid = _axes(DIAMETER_OVER_T, HOLE_OVER_DIAMETER, HEIGHT_OVER_T)
+    return tuple(
+        RegularGridInterpolator(grid, table, method="pchip")
         for table in (EFFECT_MEMBRANE, EFFECT_BENDING)
     )
-    return membrane, bending
 
 
 def mixture(share: FloatArray, effect: FloatArray, mixing: float) -> FloatArray:
@@ -204,6 +213,26 @@ def receptor_stiffness(design: Design, markers: Markers, mesh: ShellMesh) -> Rec
     return ReceptorStiffness(
         membrane=mixture(share, mean(membrane), MIXING_MEMBRANE),
         bending=mixture(share, mean(bending), MIXING_BENDING),
+    )
+
+
+def mean_factors(design: Design, markers: Markers, area_mm2: float) -> tuple[float, float]:
+    """Factors on E t and E t³ of a wall that has the mean receptor smeared over its area.
+
+    1 and 1 where the stiffness of the receptors is not known (:func:`unknown_receptors`).
+    """
+    if unknown_receptors(design):
+        return 1.0, 1.0
+    thickness, receptor = design.wall.thickness_mm, design.receptor
+    membrane, bending = receptor_effect(
+        receptor.diameter_outer_mm / thickness,
+        receptor.diameter_hole_mm / receptor.diameter_outer_mm,
+        float(markers.height_mm.mean()) / thickness,
+    )
+    share = np.array(markers.count * np.pi / 4.0 * receptor.diameter_outer_mm**2 / area_mm2)
+    return (
+        float(mixture(share, membrane, MIXING_MEMBRANE)),
+        float(mixture(share, bending, MIXING_BENDING)),
     )
 
 

@@ -5,15 +5,17 @@ with curvatures k_u, k_v (V. Z. Vlasov, General theory of shells, 1949), D = E t
 
     D ∇⁸ w + E t (k_v ∂²/∂x² + k_u ∂²/∂y²)² w = ∇⁴ p
 
-solved on the sensor's flattened face, simply supported at open edges (sines), periodic where it
-closes around (Timoshenko, Woinowsky-Krieger, Theory of plates and shells, 1959, §28, §34)::
+on the sensor's flattened face, by products of the vibration modes of a clamped beam along and,
+where the face does not close, around, and of cosines where it closes (the diagonal of Galerkin's
+equations; A. W. Leissa, Vibration of plates, NASA SP-160, 1969, §1)::
 
-    w(x, y) = Σ p_mn sin(a x) cos(b (y - y0)) / (D q² + E t (k_v a² + k_u b²)² / q²)    q = a² + b²
+    w(x, y) = Σ p_mn φ_m(x) ψ_n(y) / (D r_mn + E t (k_v a_m² + k_u b_n²)² / (a_m² + b_n²)²)
+    r_mn = ∫φ_m''² + 2 a_m² b_n² + ∫ψ_n''²    a_m² = ∫φ_m'²    b_n² = ∫ψ_n'²    (means of the face)
 
 The load is a disc of uniform pressure. On a sphere without edges this is Reissner's solution, at
-its centre w = √12(1 - ν²) P R / 8 E t². Curvatures are those at the load, rims (in fact clamped)
-are simply supported, receptors and holes are neglected: accurate to some tens of per cent on tubes
-and domes, 9 to 13 times too soft on flat walls, and good for ranking designs of one shape.
+its centre w = √12(1 - ν²) P R / 8 E t². A pole is no edge: the face goes on beyond it. Curvatures
+are those at the load. Receptors and holes change both stiffnesses by the mean of their factors
+(:mod:`phytac_design.mechanics.shell.receptor_stiffness`).
 """
 
 from dataclasses import dataclass
@@ -22,10 +24,13 @@ import numpy as np
 from scipy.special import j1
 
 from phytac_decoder.camera.camera import Camera, stack_views
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
+from phytac_design.mechanics.shell.receptor_stiffness import mean_factors
 from phytac_design.simulation.cramer_rao import CramerRaoBound, cell_prior, contact_signals
 from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 FORCE_N = 10.0
 """Force at which bounds are stated."""
@@ -36,7 +41,8 @@ class Flat:
     """The outer face unrolled around a load.
 
     ``length`` and ``girth`` mm along and around, whether it closes around, and the curvatures along
-    and around at the load, 1/mm, positive where the face is convex.
+    and around at the load, 1/mm, positive where the face is convex. Ends that do not close are
+    clamped.
     """
 
     length: float
@@ -59,30 +65,37 @@ class MetricLengths:
         self.along = np.concatenate([[0.0], np.cumsum(steps)])
         self.width = (v1 - v0) * np.sqrt(metric[:, 1, 1])
         self.middle = middle
+        # Beyond a pole the face goes on, as long as before it.
+        near, far = surface.poles
+        self.before = float(self.along[-1]) * near
+        self.length = float(self.along[-1]) * (1.0 + near + far)
 
     def x_mm(self, uv: FloatArray) -> FloatArray:
         """Length (n,) along from the near end."""
-        return np.asarray(np.interp(uv[:, 0], self.edges, self.along))
+        return np.asarray(self.before + np.interp(uv[:, 0], self.edges, self.along))
 
     def girth_mm(self, u: FloatArray) -> FloatArray:
         """Length (n,) once around."""
         return np.asarray(np.interp(u, self.middle, self.width))
 
     def y_mm(self, uv: FloatArray, source: FloatArray) -> FloatArray:
-        """Length (n,) around from a source (2,), the short way, at the mean height."""
+        """Length (n,) around: from a source (2,) the short way if it closes, else from its edge."""
         v0, v1 = self.surface.domain[1]
-        away = uv[:, 1] - source[1]
-        if self.surface.periodic[1]:
-            away = (away + (v1 - v0) / 2.0) % (v1 - v0) - (v1 - v0) / 2.0
+        if not self.surface.periodic[1]:
+            return np.asarray((uv[:, 1] - v0) / (v1 - v0) * self.girth_mm(source[:1]))
+        away = (uv[:, 1] - source[1] + (v1 - v0) / 2.0) % (v1 - v0) - (v1 - v0) / 2.0
         return np.asarray(away / (v1 - v0) * self.girth_mm((uv[:, 0] + source[0]) / 2.0))
 
     def at(self, sources: FloatArray) -> list[Flat]:
         """The face unrolled around each of some sources (s, 2); not too narrow near a pole."""
         girth = np.maximum(self.girth_mm(sources[:, 0]), 0.3 * float(self.width.max()))
-        bent = curvatures(self.surface, sources)
+        # A flat side between rounded edges is held by them: curvatures of a quarter of the girth.
+        around = np.linspace(-0.125, 0.125, 9) * np.ptp(self.surface.domain[1])
+        near = sources[:, None] + np.stack([0.0 * around, around], axis=1)
+        bent = curvatures(self.surface, near.reshape(-1, 2)).reshape(-1, 9, 2).mean(axis=1)
         return [
             Flat(
-                length=float(self.along[-1]),
+                length=self.length,
                 girth=float(own),
                 closed=self.surface.periodic[1],
                 k_u=float(k_u),
@@ -108,77 +121,165 @@ def curvatures(surface: Surface, uv: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Wall:
-    """Thickness mm, modulus MPa and Poisson's ratio of a wall."""
+    """Bending stiffness D (N mm) and stretching stiffness E t (N/mm) of a wall, thickness mm."""
 
+    bending: float
+    stretching: float
     thickness: float
-    modulus: float
-    poisson: float
 
-    @property
-    def stiffness(self) -> float:
-        """Bending stiffness D, N mm."""
-        return self.modulus * self.thickness**3 / (12.0 * (1.0 - self.poisson**2))
+
+def wall_of(design: Design, markers: Markers, area_mm2: float) -> Wall:
+    """Wall of a design with the mean effect of its receptors, if that is known."""
+    t, modulus, poisson = (
+        design.wall.thickness_mm,
+        design.material.modulus_MPa,
+        design.material.poisson,
+    )
+    stretch, bend = mean_factors(design, markers, area_mm2)
+    return Wall(
+        bending=bend * modulus * t**3 / (12.0 * (1.0 - poisson**2)),
+        stretching=stretch * modulus * t,
+        thickness=t,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Waves:
+    """Functions of one direction whose square has the mean 1 over ``length`` mm.
+
+    Cosines of the distance from the load where the face closes, else modes of a clamped beam.
+
+    Attributes
+    ----------
+    second, fourth : (m,) float
+        Means of the squared slope (1/mm²) and of the squared second derivative (1/mm⁴).
+    """
+
+    length: float
+    closed: bool
+    number: FloatArray
+    second: FloatArray
+    fourth: FloatArray
+
+    def at(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Values and slopes (1/mm), (n, m) each, at x (n,) mm."""
+        k = self.number / self.length
+        if self.closed:
+            high = np.where(self.number > 0.0, np.sqrt(2.0), 1.0)
+            # Powers of one phase factor: far cheaper than a cosine for each wave.
+            phase = np.repeat(np.exp(1j * k[1] * x)[:, None], len(k), axis=1)
+            phase[:, 0] = 1.0
+            phase = np.cumprod(phase, axis=1)
+            return high * phase.real, -high * k * phase.imag
+        angle = np.outer(x, k)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        down, up, sigma = self._edges(angle)
+        return down + up - cosine + sigma * sine, k * (up - down + sine + sigma * cosine)
+
+    def second_at(self, x: float) -> FloatArray:
+        """Second derivatives (m,), 1/mm²."""
+        k = self.number / self.length
+        if self.closed:
+            return np.asarray(-np.where(k > 0.0, np.sqrt(2.0), 1.0) * k * k * np.cos(k * x))
+        down, up, sigma = self._edges(k * x)
+        return np.asarray(k * k * (down + up + np.cos(k * x) - sigma * np.sin(k * x)))
+
+    def _edges(self, angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Parts of a clamped beam's modes that decay from its ends, at x times k, and sigma."""
+        # (1 - sigma) exp(number) / 2 without differences of large numbers.
+        n, small, sigma = self.number, np.exp(-self.number), clamped_sigma(self.number)
+        end = (np.cos(n) - np.sin(n) - small) / (1.0 - small**2 - 2.0 * small * np.sin(n))
+        return (1.0 + sigma) / 2.0 * np.exp(-angle), end * np.exp(angle - n), sigma
+
+
+def clamped_sigma(number: FloatArray) -> FloatArray:
+    """(cosh - cos) / (sinh - sin) of a clamped beam's modes (m,), which cannot overflow."""
+    small = np.exp(-number)
+    above = 1.0 + small**2 - 2.0 * small * np.cos(number)
+    return np.asarray(above / (1.0 - small**2 - 2.0 * small * np.sin(number)))
+
+
+def waves(length: float, *, closed: bool, count: int = 36) -> Waves:
+    """Return the first ``count`` functions of a direction of a face."""
+    if closed:
+        number = 2.0 * np.pi * np.arange(float(count))
+        second, fourth = number**2, number**4
+    else:
+        number = (np.arange(1.0, count + 1.0) + 0.5) * np.pi
+        # Roots of cos = 1 / cosh: all but the first few have these values to machine precision.
+        for _ in range(3):
+            small = 2.0 * np.exp(-number) / (1.0 + np.exp(-2.0 * number))
+            number = number + (np.cos(number) - small) / (np.sin(number) - small * np.tanh(number))
+        slope = clamped_sigma(number) * number
+        second, fourth = slope * (slope - 2.0), number**4
+    return Waves(
+        length=length,
+        closed=closed,
+        number=number,
+        second=second / length**2,
+        fourth=fourth / length**4,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deflection:
-    """Deflection per newton as waves: amplitudes (m, k), wave numbers (m,), (k,) 1/mm."""
+    """Deflection per newton: amplitudes (m, k) of products of waves along and around."""
 
     amplitude: FloatArray
-    a: FloatArray
-    b: FloatArray
+    along: Waves
+    around: Waves
 
-    def motion(self, along: tuple[FloatArray, FloatArray], y: FloatArray) -> FloatArray:
+    def motion(self, along: tuple[FloatArray, ...], y: FloatArray) -> FloatArray:
         """Inward motion (mm/N) and its slopes along and around at n points, (n, 3).
 
-        ``along`` is :func:`waves_along` of the points, ``y`` (n,) their lengths around.
+        ``along`` is :meth:`Waves.at` of the points, ``y`` (n,) their lengths around.
         """
-        sine, cosine = along
-        # Powers of one phase factor: far cheaper than a cosine for each wave.
-        turn = np.repeat(np.exp(1j * self.b[1] * y)[:, None], len(self.b), axis=1)
-        turn[:, 0] = 1.0
-        around = np.cumprod(turn, axis=1)
-        mixed = sine @ self.amplitude
+        value, slope = self.around.at(y)
+        mixed = along[0] @ self.amplitude
         return np.stack(
             [
-                np.einsum("nk,nk->n", mixed, around.real),
-                np.einsum("nk,nk->n", cosine @ self.amplitude, around.real),
-                -np.einsum("nk,nk,k->n", mixed, around.imag, self.b),
+                np.einsum("nk,nk->n", mixed, value),
+                np.einsum("nk,nk->n", along[1] @ self.amplitude, value),
+                np.einsum("nk,nk->n", mixed, slope),
             ],
             axis=1,
         )
 
-    def bending(self, x: float) -> float:
-        """Greatest second derivative of the motion at (x, 0), 1/mm per newton."""
-        sine = np.sin(self.a * x)
-        along = float(np.sum((sine * self.a**2) @ self.amplitude))
-        around = float(np.sum((sine @ self.amplitude) * self.b**2))
-        return max(abs(along), abs(around))
+    def curvature(self, x: float, y: float) -> float:
+        """Greatest second derivative of the motion at a point, 1/mm per newton."""
+        here, there = self.along.at(np.array([x]))[0][0], self.around.at(np.array([y]))[0][0]
+        along = self.along.second_at(x) @ self.amplitude @ there
+        around = here @ self.amplitude @ self.around.second_at(y)
+        return max(abs(float(along)), abs(float(around)))
 
 
-def waves_along(length: float, x: FloatArray, waves: int = 36) -> tuple[FloatArray, FloatArray]:
-    """Sines of a face's waves along at x (n,), and their slopes, (n, m) each."""
-    a = np.pi * np.arange(1.0, waves + 1.0) / length
-    return np.sin(np.outer(x, a)), np.cos(np.outer(x, a)) * a
+def inside(x: float, length: float, radius_mm: float) -> float:
+    """Centre of the part of a disc that lies between 0 and a length."""
+    gap = min(x, length - x)
+    if gap >= radius_mm:
+        return x
+    chord = np.sqrt(radius_mm**2 - gap**2)
+    area = radius_mm**2 * (np.pi - np.arccos(gap / radius_mm)) + gap * chord
+    return float(x + np.sign(length / 2.0 - x) * 2.0 / 3.0 * chord**3 / area)
 
 
 def deflection_under_disc(
-    wall: Wall, flat: Flat, x: float, radius_mm: float, waves: int = 36
+    wall: Wall, flat: Flat, x: float, y: float, radius_mm: float, count: int = 36
 ) -> Deflection:
-    """Deflection under a disc of a radius at length x, 1 N inward."""
-    a: FloatArray = np.pi * np.arange(1.0, waves + 1.0) / flat.length
-    # A face that does not close is taken as one of twice its width that does: no edge is near.
-    period = flat.girth if flat.closed else 2.0 * flat.girth
-    b: FloatArray = 2.0 * np.pi * np.arange(0.0, float(waves)) / period
-    q = a[:, None] ** 2 + b[None] ** 2
-    curved = flat.k_v * a[:, None] ** 2 + flat.k_u * b[None] ** 2
-    stretch = wall.modulus * wall.thickness
-    resistance = wall.stiffness * q**2 + stretch * (curved / q) ** 2
-    reach = np.sqrt(q) * max(radius_mm, 1e-6)
+    """Deflection under a disc of a radius at the lengths x and y, 1 N inward."""
+    along = waves(flat.length, closed=False, count=count)
+    around = waves(flat.girth, closed=flat.closed, count=count)
+    a, b = along.second[:, None], around.second[None]
+    bend = along.fourth[:, None] + 2.0 * a * b + around.fourth[None]
+    curved = (flat.k_v * a + flat.k_u * b) / (a + b)
+    resistance = wall.bending * bend + wall.stretching * curved**2
+    reach = np.sqrt(a + b) * max(radius_mm, 1e-6)
     load = np.where(reach > 1e-6, 2.0 * j1(reach) / np.maximum(reach, 1e-12), 1.0)
-    twice = np.where(np.arange(waves) == 0, 1.0, 2.0)
-    share = 2.0 / (flat.length * period) * np.sin(a * x)[:, None] * twice
-    return Deflection(amplitude=share * load / resistance, a=a, b=b)
+    x = inside(x, flat.length, radius_mm)
+    y = y if flat.closed else inside(y, flat.girth, radius_mm)
+    there = np.outer(along.at(np.array([x]))[0][0], around.at(np.array([y]))[0][0])
+    share = there / (flat.length * flat.girth)
+    return Deflection(amplitude=share * load / resistance, along=along, around=around)
 
 
 def tip_basis(sensor: Sensor) -> FloatArray:
@@ -203,6 +304,19 @@ class Predicted:
     strain: FloatArray
 
 
+def spread_out(x: FloatArray, v: FloatArray, count: int) -> IntArray:
+    """Ids of at most ``count`` of n markers, even along x (n,), and varied across v (n,)."""
+    bands = np.array_split(np.argsort(x, kind="stable"), min(count, len(x)))
+    # Multiples of the golden ratio: far from each other modulo 1, however many there are.
+    share = (0.5 + 0.618034 * np.arange(len(bands))) % 1.0
+    return np.array(
+        [
+            band[np.argsort(v[band], kind="stable")[int(each * len(band))]]
+            for band, each in zip(bands, share, strict=True)
+        ]
+    )
+
+
 def predict(
     sensor: Sensor, cameras: tuple[Camera, ...], seen: BoolArray, *, sources: int = 5
 ) -> Predicted:
@@ -217,29 +331,29 @@ def predict(
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training, camera = design.training, design.camera
-    wall = Wall(
-        thickness=design.wall.thickness_mm,
-        modulus=design.material.modulus_MPa,
-        poisson=design.material.poisson,
-    )
+    wall = wall_of(design, markers, surface.area_mm2())
     unrolled = MetricLengths(surface)
     x = unrolled.x_mm(markers.uv)
-    along = waves_along(float(unrolled.along[-1]), x)
-    order = np.argsort(x, kind="stable")
-    share = (np.arange(sources) + 0.5) / sources
-    chosen = np.unique(order[(share * markers.count).astype(int)])
+    along = waves(unrolled.length, closed=False).at(x)
+    chosen = spread_out(x, markers.uv[:, 1], sources)
     slopes = np.where(seen[:, None, None], stack_views(cameras, markers.tip_mm), 0.0)
     slopes = np.nan_to_num(slopes)
     # (n, 2c, 3): px per mm of motion and per unit of slope.
     image = slopes @ tip_basis(sensor)
 
-    def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
+    def dents(uv: FloatArray, radius_mm: FloatArray) -> list[Deflection]:
         each = zip(uv, radius_mm, unrolled.at(uv), unrolled.x_mm(uv), strict=True)
-        motions = [
-            deflection_under_disc(wall, flat, float(here), float(radius)).motion(
-                along, unrolled.y_mm(markers.uv, place)
+        return [
+            deflection_under_disc(
+                wall, flat, float(x), float(unrolled.y_mm(place[None], place)[0]), float(radius)
             )
-            for place, radius, flat, here in each
+            for place, radius, flat, x in each
+        ]
+
+    def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
+        motions = [
+            dent.motion(along, unrolled.y_mm(markers.uv, place))
+            for place, dent in zip(uv, dents(uv, radius_mm), strict=True)
         ]
         return np.asarray(np.einsum("nij,snj->sni", image, np.stack(motions)))
 
@@ -252,11 +366,15 @@ def predict(
         training.patch_radius_max_mm,
     )
     bound = signals.bound(FORCE_N, noise_px=camera.noise_centroid_px, prior=prior)
-    dents, strains = [], []
-    for flat, here in zip(unrolled.at(markers.uv[chosen]), x[chosen], strict=True):
-        dent = deflection_under_disc(wall, flat, float(here), training.patch_radius_min_mm)
-        there = waves_along(flat.length, np.array([here]))
-        dents.append(float(dent.motion(there, np.zeros(1))[0, 0]))
-        strains.append(wall.thickness / 2.0 * dent.bending(float(here)))
+    deepest, strains = [], []
+    least = np.full(len(chosen), training.patch_radius_min_mm)
+    for marker, dent in zip(chosen, dents(markers.uv[chosen], least), strict=True):
+        place = markers.uv[marker]
+        y = unrolled.y_mm(place[None], place)
+        here = tuple(each[[marker]] for each in along)
+        deepest.append(float(dent.motion(here, y)[0, 0]))
+        strains.append(wall.thickness / 2.0 * dent.curvature(float(x[marker]), float(y[0])))
     force = training.force_max_N
-    return Predicted(bound=bound, dent_mm=force * np.array(dents), strain=force * np.array(strains))
+    return Predicted(
+        bound=bound, dent_mm=force * np.array(deepest), strain=force * np.array(strains)
+    )
