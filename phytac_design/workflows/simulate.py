@@ -121,14 +121,14 @@ def observe_rest(job: Job, progress: Callable[[str], None]) -> ImagingReference:
             progress(
                 f"warning: {len(lost)} of {job.markers.count} markers ({id_list(lost)}) cannot be "
                 "identified at rest and are missing in every sample: their images are too small or "
-                "too blurred; raise camera.f_number or set eyes.lens_blur = false"
+                "too blurred; raise camera.f_number or set imaging.lens_blur = false"
             )
     return ImagingReference(views=views, compliance_px=compliance, rest=imaging.rest)
 
 
 def imaging_model(job: Job, **known: Any) -> ImagingModel:
     """Imaging model of the job's sensor instance."""
-    settings = job.scenario.eyes.model_dump()
+    settings = job.scenario.imaging.model_dump()
     if settings["noise_pixel"] is None:
         settings["noise_pixel"] = job.design.camera.noise_pixel
     solve = job.scenario.solve

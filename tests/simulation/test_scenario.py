@@ -98,7 +98,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"time": {"relax_share": [0.6, 0.5], "relax_s": [1, 2]}}, "must sum to less than 1 (got 1.1)"),
     ({"time": {"relax_share": [0.1, 0.1], "relax_s": [2, 2]}}, "relax_s must differ"),
     ({"time": {"ramp_s": 0.0}}, "time.ramp_s: .* greater than 0 (got 0.0)"),
-    ({"eyes": {"lens_blur": 1}}, "eyes.lens_blur"),
+    ({"imaging": {"lens_blur": 1}}, "imaging.lens_blur"),
     ({"solve": {"rote": "frames"}}, "unknown key 'solve.rote'; did you mean 'route'?"),
     ({"solve": {"displacement": "huge"}}, "'auto', 'linear' or 'large' (got 'huge')"),
     ({"unit": {"number": -1}}, "unit.number"),
@@ -142,8 +142,9 @@ def test_files_that_are_no_toml(tmp_path: Path, text: bytes, says: str) -> None:
 
 
 def test_switches_are_true_or_false() -> None:
-    scenario = parse_scenario({"name": "t", "eyes": {"lens_blur": False}}, "t")
-    assert scenario.eyes.lens_blur is False
+    for table in ("imaging", "eyes"):  # the latter is its former name
+        scenario = parse_scenario({"name": "t", table: {"lens_blur": False}}, "t")
+        assert scenario.imaging.lens_blur is False
     assert scenario.solve.local is True
 
 

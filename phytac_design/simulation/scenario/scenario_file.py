@@ -412,16 +412,18 @@ class Scenario(Section):
     time: TimeSection = TimeSection()
     light: LightDriftSection = LightDriftSection()
     unit: SensorInstanceSection = SensorInstanceSection()
-    eyes: ImagingSection = ImagingSection()
+    imaging: ImagingSection = ImagingSection()
     solve: SolveSection = SolveSection()
 
     @model_validator(mode="before")
     @classmethod
     def _own_table(cls, data: Any) -> Any:
-        """Give grips and cycles their table, and only them."""
+        """Give grips and cycles their table, and only them; know a table by its former name."""
         if not isinstance(data, dict):
             return data
         data, kind = dict(data), data.get("kind", "presses")
+        if "eyes" in data and "imaging" not in data:
+            data["imaging"] = data.pop("eyes")  # its former name
         for owner, table in (("grips", "grip"), ("cycles", "cycle")):
             if kind == owner and data.get(table) is None:
                 data[table] = {}
