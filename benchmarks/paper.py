@@ -4,13 +4,13 @@ Contacts are those of the scenario ``paper-protocol``: 598 samples are split 8.5
 training, and further ones are added to the test part. Every contact presses one receptor, at all
 heights of the sensor. ``paper-grips`` (nine pads of a hand) is read by the same decoders, and held
 against the network that was trained on ``platform``. The part
-``linear`` has data of a linear shell, ``points`` of large displacements, ``frames`` of both and
-rendered pictures. ::
+``linear`` has data of a linear shell, ``points`` of large displacements; those of ``frames`` have
+large displacements and rendered pictures, a part for each print. ::
 
-    python -m benchmarks.paper [--parts linear,points,frames] [--quick]
+    python -m benchmarks.paper [--parts "linear,points,frames nominal print"] [--quick]
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -104,12 +104,14 @@ def _spec(
     return DataSetSpec(name=name, job=job, train=0)
 
 
-def add_rows(table: Table, *, route: Route, linear: bool, quick: bool) -> None:
-    """Errors of every estimator on each print, and on grips."""
+def add_rows(
+    table: Table, *, units: Sequence[int], route: Route, linear: bool, quick: bool
+) -> None:
+    """Errors of every estimator on some prints, and on grips."""
     plain = _by_design(quick=quick)
-    prints = dict(list(PRINTS.items())[:2]) if quick or route == "frames" else PRINTS
     scattered = []
-    for unit, name in prints.items():
+    for unit in units:
+        name = PRINTS[unit]
         found = _rows_of_print(table, plain, unit, name, route=route, linear=linear, quick=quick)
         if unit:
             scattered.append(found)
@@ -199,10 +201,12 @@ def _add(
 
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """Parts of this benchmark."""
+    units = (0, 1) if quick else tuple(PRINTS)
+    frames = partial(add_rows, route="frames", linear=False, quick=quick)
     return {
-        "linear": partial(add_rows, route="points", linear=True, quick=quick),
-        "points": partial(add_rows, route="points", linear=False, quick=quick),
-        "frames": partial(add_rows, route="frames", linear=False, quick=quick),
+        "linear": partial(add_rows, units=units, route="points", linear=True, quick=quick),
+        "points": partial(add_rows, units=units, route="points", linear=False, quick=quick),
+        **{f"frames {PRINTS[unit]}": partial(frames, units=(unit,)) for unit in (0, 1)},
     }
 
 
