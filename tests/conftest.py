@@ -14,9 +14,7 @@ from pathlib import Path
 import pytest
 
 from phytac_design.engine.stage import graphics_libraries
-from phytac_design.optics import picture
 from phytac_design.stages.build import BuildResult, build
-from phytac_shapes.errors import MissingPartError
 from tests.coarse_switches import coarse_bowls
 from tests.designs import small
 
@@ -36,20 +34,8 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     pytest.MonkeyPatch().setenv("PHYTAC_CACHE", str(cache))
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _no_opengl() -> None:
-    """Builds draw their pictures themselves, in half the time; ``optics/test_frame`` has OpenGL."""
-    pytest.MonkeyPatch().setattr(picture, "render_picture", _no_picture)
-
-
-def _no_picture(*_: object) -> None:
-    raise MissingPartError("graphics-missing", "tests draw no pictures by OpenGL")
-
-
 @pytest.fixture(scope="session")
-def built(
-    tmp_path_factory: pytest.TempPathFactory, own_cache: None, _no_opengl: None
-) -> BuildResult:
+def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None) -> BuildResult:
     """The small design, built whole at draft accuracy, with switches of the coarse mesh."""
     out = tmp_path_factory.mktemp("exports") / "small"
     with coarse_bowls():

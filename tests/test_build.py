@@ -283,9 +283,9 @@ def test_without_lib3mf_only_the_3mf_is_left_out(
 def test_without_graphics_libraries_only_the_step_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A machine without libGL: cadquery cannot be imported, pyrender gets no context."""
+    """A machine without libGL: cadquery cannot be imported."""
     from phytac_design.engine import stage
-    from phytac_design.stages import shell_stage, views_stage
+    from phytac_design.stages import shell_stage
 
     def absent(*_: object, **__: object) -> None:
         raise MissingPartError("missing-library", "no CAD: libGL.so.1 is missing")
@@ -294,16 +294,13 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
     monkeypatch.setattr(stage, "graphics_libraries", lambda: none)
     monkeypatch.setattr("phytac_design.stages.shell_stage.shell_cad", absent)
     monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.cadquery", absent)
-    monkeypatch.setattr("phytac_design.optics.picture.render_picture", absent)
     assert shell_stage.STEP.graphics
-    assert views_stage.VIEWS.graphics
     result = build(fused(), tmp_path / "x", accuracy=COARSE, force=True, progress=quiet)
     files = {p.relative_to(result.out).as_posix() for p in result.out.rglob("*") if p.is_file()}
     left_out = {name for name in CONTRACT if name.endswith(".step") or "straight" in name}
     assert files == (CONTRACT | {"manifest.json"}) - left_out
     report = json.loads((result.out / "report" / "report.json").read_text())
     assert "libGL" in report["shell"]["step_left_out"]
-    assert report["camera"]["picture"] == "rasteriser"
     # Markers that fuse do not stop a build that is forced.
     assert report["visibility"]["fused"] > 0
     assert "verdict bad" in (result.out / "report" / "report.html").read_text()

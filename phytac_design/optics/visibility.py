@@ -183,10 +183,14 @@ def measure_visibility(
     *,
     noise_std: float,
     rng: np.random.Generator,
+    both: tuple[Buffers, Buffers] | None = None,
 ) -> Visibility:
-    """Visibility in a scene, which may be a moved one; ``on`` is the same with red tips out."""
+    """Visibility in a scene, which may be a moved one; ``on`` is the same with red tips out.
+
+    ``both`` are ``rasterise`` of the two, where they are known already.
+    """
     samples = 4  # samples per pixel of the frame that decides on fusion
-    buffers = rasterise(rest, camera)
+    buffers, out = both or (rasterise(rest, camera), rasterise(on, camera))
     marker = paint_owner(buffers.part)
     spots = spot_owner(buffers.part, rest.count)
     own, other = (gap[: rest.count] for gap in marker_gaps(spots, rest.spot_colour))
@@ -195,7 +199,7 @@ def measure_visibility(
     fraction = np.divide(visible, alone, out=np.zeros(len(alone)), where=alone > 0)
     red_px = [
         owner_sums(red_owner(part), rest.count)[:, 0].astype(np.int64)
-        for part in (buffers.part, rasterise(on, camera).part)
+        for part in (buffers.part, out.part)
     ]
     frame = render_frame(rest, camera, noise_std=noise_std, rng=rng, samples=samples)
     occluded = (fraction < FRACTION_MIN) | (visible < PIXELS_MIN)
@@ -238,15 +242,24 @@ class MarkVisibility:
 
 
 def mark_visibility(
-    sensor: Sensor, rest: RenderScene, camera: Camera, frame: ImageArray
+    sensor: Sensor,
+    rest: RenderScene,
+    camera: Camera,
+    frame: ImageArray,
+    *,
+    buffers: Buffers | None = None,
 ) -> MarkVisibility:
-    """Visibility of a sensor's reference marks in a scene and its frame (BGR)."""
+    """Visibility of a sensor's reference marks in a scene and its frame (BGR).
+
+    ``buffers`` are ``rasterise`` of the scene, where they are known already.
+    """
     outline = sensor.reference_marks.outline_mm
     flat = camera.project(outline.reshape(-1, 3)).reshape(*outline.shape[:2], 2)
     # Shoelace formula; it also counts what lies beyond the image.
     x, y = np.moveaxis(flat, 2, 0)
     area = np.abs(np.sum(x * np.roll(y, -1, 1) - y * np.roll(x, -1, 1), axis=1)) / 2.0
-    spots = spot_owner(rasterise(rest, camera).part, rest.count)
+    part = (buffers or rasterise(rest, camera)).part
+    spots = spot_owner(part, rest.count)
     sums = owner_sums(spots, rest.count + rest.marks)[rest.count :]
     count = sums[:, 0]
     fused = fused_in_frame(frame, spots, rest)[rest.count :]

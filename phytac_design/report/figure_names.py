@@ -32,7 +32,6 @@ NAMES: dict[str, str] = {
     "visibility.max_red_rest_px": "red of the tip that shows most at rest (px)",
     "visibility.switch_unreadable": "switches whose tip looks alike at rest and out",
     "camera.stand_off_mm": "stand-off: camera to its rim (mm)",
-    "camera.picture": "pictures made by",
     "camera.rest_centroid_bias_px": "error of predicted rest positions, root mean square (px)",
     "under_load.hidden_most": "most markers hidden at once",
     "under_load.fused_most": "most markers fused at once",

@@ -62,7 +62,6 @@ def gather(context: Context) -> dict[str, Any]:
         "resolution": context.facts("resolution"),
         "camera": {
             "stand_off_mm": views["stand_off_mm"],
-            "picture": views["renderer"],
             "rest_centroid_bias_px": views["centroid_bias_px"],
             "end": views["cameras"][0]["end"],
         },

@@ -13,8 +13,7 @@ from phytac_design.engine.stage import Context, Stage, export_path, write_arrays
 from phytac_design.layout.cameras import stand_off_mm, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_of
-from phytac_design.optics.picture import picture_or_frame
-from phytac_design.optics.raster import rasterise
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.render_scene import build_scene, paint_owner
 from phytac_design.optics.sharpness import lens_facts
 from phytac_design.optics.visibility import (
@@ -112,15 +111,13 @@ def run_views(context: Context, folder: Path) -> None:
         for each in map(picked, zip(*noise_px, strict=True))
     )
     write_arrays(folder, arrays)
-    renderer, switches = "none", design.has_switches
+    switches = design.has_switches
     if context.scene is None or context.scene.pictures:
         context.progress("views: pictures")
         for shot, mark in zip(shots, CAMERA_SUFFIXES, strict=False):
-            ids = id_picture(rasterise(shot.rest, shot.camera).part)
-            pictures = {}
-            for name, scene in (("camera{}", shot.rest), ("camera{}_all_on", shot.on)):
-                pictures[name], renderer = picture_or_frame(scene, shot.camera)
-            for name, picture in (pictures | {"ids{}": ids}).items():
+            off, on = shot.frames
+            pictures = {"camera{}": off, "camera{}_all_on": on, "ids{}": id_picture(shot.part)}
+            for name, picture in pictures.items():
                 write_image(export_path(folder, f"views/{name.format(mark)}.png"), picture)
     error = np.linalg.norm(rest_px - best.centroid_px, axis=1)[~best.lost]
     write_facts(
@@ -148,7 +145,6 @@ def run_views(context: Context, folder: Path) -> None:
                     zip(design.camera.end_numbers, shots, strict=True)
                 )
             ],
-            "renderer": renderer,
             "centroid_bias_px": float(np.sqrt((error**2).mean())),
         },
     )
@@ -193,7 +189,7 @@ def run_compare(context: Context, folder: Path) -> None:
     each = [check_visibility(sensor, rng=rng, camera=camera) for camera in sensor.cameras]
     near = sensor.cameras[0]
     scene = build_scene(sensor, tolerance_mm=tolerance_mm(near, markers))
-    write_image(export_path(folder, "views/straight.png"), picture_or_frame(scene, near)[0])
+    write_image(export_path(folder, "views/straight.png"), render_frame(scene, near))
     straight = best_of(each)[0].summary()
     del straight["switch_unreadable"]  # counted by exact pixels, see :func:`summary_of`
     write_facts(folder, {"straight": straight})
@@ -210,10 +206,7 @@ VIEWS = Stage(
     ),
     seeded=True,
     scene=("pictures",),
-    graphics=True,
     gate=told_apart,
     run=run_views,
 )
-COMPARE = Stage(
-    name="compare", design_fields=("pictures",), seeded=True, graphics=True, run=run_compare
-)
+COMPARE = Stage(name="compare", design_fields=("pictures",), seeded=True, run=run_compare)

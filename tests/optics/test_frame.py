@@ -1,16 +1,10 @@
-import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from phytac_decoder.camera.lens import KannalaBrandt
-from phytac_decoder.io.recorded_frames import read_image
-from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.optics import frame_renderer as frame_module
-from phytac_design.optics import picture
 from phytac_design.optics.frame_renderer import (
     add_noise,
     render_frame,
@@ -21,16 +15,13 @@ from phytac_design.optics.frame_renderer import (
 )
 from phytac_design.optics.light import albedo, triangle_light
 from phytac_design.optics.paint import BACKGROUND, BAR, PAINTS, to_linear, to_srgb
-from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import BAR as BAR_CODE
 from phytac_design.optics.render_scene import paint_owner
-from phytac_design.stages.views_stage import run_views
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import MissingPartError
-from tests.designs import COARSE, tiny
 from tests.optics.cases import Bench
-from tests.refusals import refused
+from tests.optics.opengl_picture import render_picture
 
 GL_CENTROID_PX = 0.35  # GL averages after the gamma, which shifts edges between light and dark
 GL_MEDIAN_PX = 0.15
@@ -216,35 +207,3 @@ def test_picture_and_frame_agree_on_colours(few: Bench, gl_picture: ImageArray) 
     # Inside the parts: the shader's gamma is 2.2, sRGB's is piecewise; edges are mixtures.
     assert np.percentile(apart, 90) <= 4.0
     assert apart.mean() < 3.0
-
-
-def test_a_build_draws_by_opengl_where_it_can(
-    tmp_path: Path, gl_picture: ImageArray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(picture, "render_picture", lambda *_: gl_picture)
-    run_views(Context(design=tiny(), accuracy=COARSE, seed=0, progress=lambda _: None), tmp_path)
-    assert json.loads((tmp_path / "facts.json").read_text())["renderer"] == "pyrender"
-    for name in ("camera", "camera_all_on"):
-        drawn = read_image(tmp_path / EXPORT / "views" / f"{name}.png")
-        np.testing.assert_array_equal(drawn, gl_picture)
-
-
-def test_missing_gl_names_the_packages(few: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyrender", None)
-    with refused("graphics-missing") as caught:
-        render_picture(few.scene(), few.camera)
-    assert "apt-get install libegl1 libgl1 libgl1-mesa-dri" in str(caught.value)
-
-
-def test_a_driver_that_gives_no_context_names_the_packages(
-    few: Bench, monkeypatch: pytest.MonkeyPatch, gl_picture: ImageArray
-) -> None:
-    class Broken:
-        def __init__(self, *_size: int) -> None:
-            raise OSError("EGL_NOT_INITIALIZED")
-
-    module = picture._pyrender()
-    monkeypatch.setattr(module, "OffscreenRenderer", Broken)
-    with refused("graphics-missing") as caught:
-        render_picture(few.scene(), few.camera)
-    assert "EGL_NOT_INITIALIZED" in str(caught.value)

@@ -142,6 +142,8 @@ class Shot:
         The sensor with all switches off, and on.
     frames : (at rest, all on)
         Noise-free frames.
+    part : (h, w) int32
+        Part code at each pixel centre, at rest.
     seen : Visibility
         Of the markers.
     marks : MarkVisibility
@@ -156,6 +158,7 @@ class Shot:
     rest: RenderScene
     on: RenderScene
     frames: tuple[ImageArray, ImageArray]
+    part: NDArray[np.int32]
     seen: Visibility
     marks: MarkVisibility
     expected: ExpectedView
@@ -182,18 +185,18 @@ def look(
         build_scene(sensor, tolerance_mm=tolerance, switch_on=np.full(markers.count, state))
         for state in (False, True)
     )
-    seen = measure_visibility(rest, on, camera, noise_std=noise_std, rng=rng)
+    both = at_rest, all_on = rasterise(rest, camera), rasterise(on, camera)
+    seen = measure_visibility(rest, on, camera, noise_std=noise_std, rng=rng, both=both)
     away = camera.project(markers.tip_mm) if len(sensor.cameras) == 1 else np.nan
     place = np.where(seen.lost[:, None], away, seen.centroid_px)
     frames = (render_frame(rest, camera), render_frame(on, camera))
-    marks = mark_visibility(sensor, rest, camera, frames[0])
-    on_part = rasterise(on, camera).part
+    marks = mark_visibility(sensor, rest, camera, frames[0], buffers=at_rest)
     expected = measure_expected(
         sensor,
         rest_frame=frames[0],
         on_frame=frames[1],
         marker_px=place,
-        red_px=owner_centroids(red_owner(on_part), markers.count),
+        red_px=owner_centroids(red_owner(all_on.part), markers.count),
         mark_px=np.where(marks.clear[:, None], marks.centroid_px, np.nan),
     )
     expected = replace(expected, rest_px=np.where(seen.lost[:, None], place, expected.rest_px))
@@ -202,10 +205,11 @@ def look(
         rest=rest,
         on=on,
         frames=frames,
+        part=at_rest.part,
         seen=seen,
         marks=marks,
         expected=expected,
-        covers=exact_covers(rasterise(rest, camera).part, on_part, markers.count),
+        covers=exact_covers(at_rest.part, all_on.part, markers.count),
     )
     return _with_covers(sensor, shot)
 

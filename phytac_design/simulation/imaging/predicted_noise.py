@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
-from phytac_design.optics.frame_renderer import render_frame
+from phytac_design.optics.frame_renderer import add_noise, render_frame
 from phytac_design.optics.render_scene import RenderScene
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
@@ -57,8 +57,7 @@ def predict_noise(
     """
 
     def noisy(frame: ImageArray) -> FloatArray:
-        noise = rng.normal(0.0, noise_std, frame.shape).astype(np.float32)
-        return detect(np.clip(np.rint(frame + noise), 0.0, 255.0).astype(np.uint8))
+        return detect(add_noise(frame, noise_std, rng))
 
     still = np.stack([noisy(clean) for _ in range(SETTINGS.frames)])
     turned = []

@@ -1,7 +1,6 @@
-"""Anti-aliased picture of a scene by OpenGL (pyrender on EGL), independent of the rasteriser.
+"""A scene drawn by OpenGL (pyrender on EGL): what the project's own frames are checked against.
 
-The light is that of ``optics.light``; OpenGL itself projects the geometry and hides surfaces. Only
-this module uses OpenGL. Each picture has its own context; do not call it from several threads.
+The light is that of ``optics.light``; OpenGL itself projects the geometry and hides surfaces.
 """
 
 import os
@@ -10,37 +9,18 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.camera.lens import Pinhole
-from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND
 from phytac_design.optics.render_scene import RenderScene
 from phytac_shapes.arrays import ImageArray
-from phytac_shapes.errors import MissingPartError
-
-GL_FIX = (
-    "install the system libraries (Debian, Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri) "
-    "and the Python extra (pip install 'phytac-design[design]'); render_frame needs none"
-)
 
 
 def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
-    """Anti-aliased 8-bit picture (h, w, 3), BGR, in the camera's own pixels.
+    """Anti-aliased 8-bit picture (h, w, 3), BGR, in the pixels of a pinhole camera."""
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    import pyrender
 
-    Raises
-    ------
-    MissingPartError
-        If pyrender or an EGL driver is missing (the message names the packages), or the lens is
-        not a pinhole, the only one that OpenGL can draw.
-    """
     gl_to_cv = np.diag([1.0, -1.0, -1.0])  # openGL's camera looks along -z with y up
-    if not isinstance(camera.lens, Pinhole):
-        raise MissingPartError(
-            "lens-not-drawable",
-            f"no OpenGL picture: OpenGL draws pinholes only (got a {camera.lens.model} lens); "
-            "render_frame shows any lens",
-        )
-    pyrender = _pyrender()
     background = [*(np.array(BACKGROUND) / 255.0), 1.0]
     stage = pyrender.Scene(bg_color=background, ambient_light=np.ones(3))
     stage.add(pyrender.Mesh([_primitive(pyrender, scene, camera)]))
@@ -57,37 +37,12 @@ def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
     pose[:3, :3] = camera.rotation.T @ gl_to_cv
     pose[:3, 3] = camera.position_mm
     stage.add(gl_camera, pose=pose)
-    try:
-        renderer = pyrender.OffscreenRenderer(camera.width_px, camera.height_px)
-    except Exception as error:  # PyOpenGL raises its own kinds, by driver
-        raise MissingPartError(
-            "graphics-missing", f"no OpenGL picture: EGL gave no context ({error}); {GL_FIX}"
-        ) from error
+    renderer = pyrender.OffscreenRenderer(camera.width_px, camera.height_px)
     try:
         colour, _ = renderer.render(stage)
     finally:
         renderer.delete()
     return np.ascontiguousarray(colour[:, :, ::-1])
-
-
-def picture_or_frame(scene: RenderScene, camera: Camera) -> tuple[ImageArray, str]:
-    """Picture by OpenGL where it works, else the project's own renderer; and which it was."""
-    try:
-        return render_picture(scene, camera), "pyrender"
-    except MissingPartError:
-        return render_frame(scene, camera), "rasteriser"
-
-
-def _pyrender() -> Any:
-    """Import pyrender on EGL."""
-    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-    try:
-        import pyrender
-    except Exception as error:  # PyOpenGL fails with ImportError, AttributeError, ... by platform
-        raise MissingPartError(
-            "graphics-missing", f"no OpenGL picture: pyrender failed ({error}); {GL_FIX}"
-        ) from error
-    return pyrender
 
 
 def _primitive(pyrender: Any, scene: RenderScene, camera: Camera) -> Any:
