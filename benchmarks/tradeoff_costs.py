@@ -47,6 +47,7 @@ def random_setting(number: int) -> Accuracy:
         press_places=int(one(8, 20, 40)),
         press_tolerance=one(1.0, 1.0, 0.05),
         print_tools=bool(one(0, 1)),
+        step=bool(one(0, 1)),
     )
 
 

@@ -22,6 +22,7 @@ COARSE = replace(
     truth_refine=3,
     place_share=1.5,
     cad_tolerance_mm=0.2,
+    step=True,
 )
 """The least accuracy: for what does not depend on how well anything is computed."""
 

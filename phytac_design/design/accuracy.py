@@ -44,6 +44,9 @@ class Accuracy:
         Error of linear theory that is accepted there; 1 always accepts it.
     print_tools : bool
         Whether molds, fixtures and kit are checked against the print rules; the shell always is.
+    step : bool
+        Whether STEP files are written, of the shell, the hardware and their assembly; STL and 3MF
+        files always are.
     """
 
     cad_tolerance_mm: float
@@ -57,6 +60,7 @@ class Accuracy:
     press_places: int
     press_tolerance: float
     print_tools: bool
+    step: bool
 
     def as_dict(self) -> dict[str, float]:
         """Plain values, for hashing and reports."""
@@ -76,6 +80,7 @@ PRESETS: dict[str, Accuracy] = {
         press_places=8,
         press_tolerance=1.0,
         print_tools=False,
+        step=False,
     ),
     "standard": Accuracy(
         cad_tolerance_mm=0.02,
@@ -89,6 +94,7 @@ PRESETS: dict[str, Accuracy] = {
         press_places=40,
         press_tolerance=0.05,
         print_tools=True,
+        step=True,
     ),
     "fine": Accuracy(
         cad_tolerance_mm=0.005,
@@ -102,6 +108,7 @@ PRESETS: dict[str, Accuracy] = {
         press_places=120,
         press_tolerance=0.02,
         print_tools=True,
+        step=True,
     ),
 }
 

@@ -324,9 +324,14 @@ def changes_of(context: Context, reasons: Sequence[str], well: Mapping[str, Any]
 
 
 def _left_out(context: Context) -> list[str]:
-    """What a build leaves out: hardware that does not fit, the stiffness of receptors."""
+    """What a build leaves out: STEP, hardware that does not fit, the stiffness of receptors."""
     out = []
     design = context.design
+    if not context.accuracy.step:
+        out.append(
+            "these are quick settings, without STEP files: build with --accuracy standard, or "
+            "--set step=true"
+        )
     why = context.facts("hardware").get("hardware_left_out", "")
     if why and design.hardware.parts == "all" and not context.facts("switch")["refused"]:
         out.append(f"the build has no mount, light ring and other hardware: {why}")

@@ -113,6 +113,24 @@ def write_step(solid: Any, path: Path, *, name: str = "shell") -> None:
     path.write_text(f"{head}DATA;{data}", encoding="latin-1")
 
 
+def write_solid(solid: Any, path: Path) -> None:
+    """Write a solid to its last bit, for another process; see :func:`read_solid`."""
+    from OCP.BinTools import BinTools
+
+    BinTools.Write_s(solid.wrapped, str(path))
+
+
+def read_solid(path: Path) -> Any:
+    """Solid of :func:`write_solid` as a ``cadquery`` one."""
+    cq = cadquery()
+    from OCP.BinTools import BinTools
+    from OCP.TopoDS import TopoDS_Shape
+
+    shape = TopoDS_Shape()
+    BinTools.Read_s(shape, str(path))
+    return cq.Shape.cast(shape)
+
+
 def _undated(path: Path) -> tuple[str, str]:
     """Head, with a fixed time stamp, and data of a STEP file."""
     head, data = path.read_text(encoding="latin-1").split("DATA;", 1)

@@ -15,19 +15,19 @@ from phytac_design.fabrication.hardware.by_cad import (
 from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
 from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
-from phytac_design.solids.cad import cad_facts, write_assembly, write_step
+from phytac_design.solids.cad import cad_facts, read_solid, write_assembly, write_step
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.solid_mesh import to_triangles
-from phytac_design.stages.shell_stage import VOLUME_TOL
+from phytac_design.stages.shell_stage import SHELL_SOLID, VOLUME_TOL
 from phytac_design.stages.switch_stage import refusal, switches_of
-from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
+from phytac_shapes.errors import DesignError, MissingPartError, NumericalError
 
 
 def run(context: Context, folder: Path) -> None:
     """Write ``fixtures/….stl`` and ``.step`` of printed parts and ``fixtures/assembly.step``.
 
-    Default hardware that cannot be made never stops a build: it is left out, and the facts give
-    the reason.
+    A draft has no STEP files. Default hardware that cannot be made never stops a build: it is left
+    out, and the facts give the reason.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def run(context: Context, folder: Path) -> None:
         return
     # Both kernels must agree before the first file is written.
     try:
-        shapes = _cad(context, kit, solids)
+        shapes = _cad(context, kit, solids) if context.accuracy.step else {}
     except MissingPartError as error:
         context.progress(f"hardware: STEP left out ({error})")
         facts["step_left_out"] = str(error)
@@ -106,26 +106,21 @@ def _write_step(
     context: Context, kit: HardwareAssembly, shapes: dict[str, Any], folder: Path
 ) -> dict[str, Any]:
     """Write each printed part and the assembly; return what it contains."""
-    # From this tolerance on, the STEP assembly holds the whole shell and all switches.
-    whole_mm = 0.02
-
     design = context.design
     for part in kit.parts:
         if part.printed:
             path = export_path(folder, f"fixtures/{part.name}.step")
             write_step(shapes[part.name], path, name=part.name)
-    whole = context.accuracy.cad_tolerance_mm <= whole_mm
-    bodies = hardware_bodies(kit, shapes)
+    shell = context.folders["step"] / SHELL_SOLID
+    whole = shell.is_file()
     if whole:
         context.progress("hardware: STEP of the whole sensor")
-        try:
-            sensor = sensor_bodies(context.sensor, switches_of(context))
-        except CadKernelError as error:
-            context.progress(f"hardware: the assembly holds the wall without receptors ({error})")
-            whole = False
-    if not whole:
+        sensor = sensor_bodies(context.sensor, switches_of(context), read_solid(shell))
+    else:
+        why = context.facts("step")["step_left_out"]
+        context.progress(f"hardware: the assembly holds the wall without receptors ({why})")
         sensor = [wall_body(design, context.surface)]
-    bodies = sensor + bodies
+    bodies = sensor + hardware_bodies(kit, shapes)
     write_assembly(bodies, export_path(folder, "fixtures/assembly.step"), name=design.name)
     return {"bodies": len(bodies), "shell_with_receptors_and_switches": whole}
 
@@ -142,8 +137,8 @@ HARDWARE = Stage(
         "print_rules",
         "hardware",
     ),
-    settings=("cad_tolerance_mm",),
-    depends_on=("switch",),
+    settings=("cad_tolerance_mm", "step"),
+    depends_on=("switch", "step"),
     graphics=True,
     run=run,
 )

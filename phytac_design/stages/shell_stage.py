@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
-from phytac_design.solids.cad import cad_facts, shell_cad, write_step
+from phytac_design.solids.cad import cad_facts, shell_cad, write_solid, write_step
 from phytac_design.solids.mesh_export import write_3mf, write_stl
 from phytac_design.solids.mesh_facts import shell_facts
 from phytac_design.solids.solid_mesh import painted_manifolds, shell_manifold, to_triangles
@@ -11,6 +11,8 @@ from phytac_shapes.errors import CadKernelError, MissingPartError, NumericalErro
 
 VOLUME_TOL = 1e-3
 """Largest relative difference of the two kernels' volumes that a build accepts."""
+SHELL_SOLID = "shell.bin"
+"""The solid of ``shell.step`` for later stages, if there is one."""
 FINE_mm = 0.005
 """Chordal tolerance of the finer facets that are compared where the printed ones differ by more."""
 
@@ -45,9 +47,13 @@ def run_shell(context: Context, folder: Path) -> None:
 def run_step(context: Context, folder: Path) -> None:
     """Write ``shell/shell.step`` and compare its volume with the printed mesh.
 
-    On a machine without the graphics libraries that CadQuery links, or where OpenCASCADE cannot
-    make the solid, the file is left out and the report gives the reason; STL and 3MF need neither.
+    The solid itself is kept for the assembly of the stage ``hardware``. A draft has neither. On a
+    machine without the graphics libraries that CadQuery links, or where OpenCASCADE cannot make the
+    solid, the file is left out and the report gives the reason; STL and 3MF need neither.
     """
+    if not context.accuracy.step:
+        write_facts(folder, {})
+        return
     reason = ""
     try:
         solid = shell_cad(context.sensor)
@@ -65,6 +71,7 @@ def run_step(context: Context, folder: Path) -> None:
     if not abs(difference) <= VOLUME_TOL:
         _compare_finer(context, facts.volume_mm3)
     write_step(solid, export_path(folder, "shell/shell.step"), name=context.design.name)
+    write_solid(solid, folder / SHELL_SOLID)
     write_facts(
         folder,
         {
@@ -103,6 +110,7 @@ SHELL = Stage(
 STEP = Stage(
     name="step",
     design_fields=("name", "tubes", "wall", "receptor"),
+    settings=("step",),
     depends_on=("shell",),
     graphics=True,
     run=run_step,

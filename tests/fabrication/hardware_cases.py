@@ -1,6 +1,7 @@
 """Hardware of designs with a stand-in for the fitted bowls, which take seconds to find."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -60,15 +61,18 @@ def changed(name: str, **tables: Any) -> Design:
 
 
 def context(design: Design, folder: Path, accuracy: str = "draft") -> Context:
-    """What the stage sees after the switch stage, with the stand-in's facts."""
-    made = folder / "switch"
-    made.mkdir(parents=True, exist_ok=True)
-    facts = {"switches": [{"threshold_N": design.switch.threshold_N, "bowl": bowl(design)}]}
-    (made / "facts.json").write_text(json.dumps(facts))
+    """What the stage sees after those of switch and STEP, with stand-ins' facts."""
+    facts: dict[str, dict[str, Any]] = {
+        "switch": {"switches": [{"threshold_N": design.switch.threshold_N, "bowl": bowl(design)}]},
+        "step": {"step_left_out": "no shell of a stand-in"},
+    }
+    for name, own in facts.items():
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        (folder / name / "facts.json").write_text(json.dumps(own))
     return Context(
         design=design,
-        accuracy=PRESETS[accuracy],
+        accuracy=replace(PRESETS[accuracy], step=True),
         seed=0,
-        folders={"switch": made},
+        folders={name: folder / name for name in facts},
         progress=lambda _: None,
     )

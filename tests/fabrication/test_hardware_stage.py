@@ -1,11 +1,13 @@
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from phytac_design.design.accuracy import PRESETS
 from phytac_design.fabrication.hardware.by_cad import CadKernel
 from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
 from phytac_design.layout.sensor import Sensor
@@ -187,3 +189,11 @@ def test_kernels_that_disagree_stop_the_build(
     with refused("hardware-solid-unsound"):
         run(tmp_path)
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_draft_has_no_step_files(tmp_path: Path) -> None:
+    made = context(changed("hemisphere"), tmp_path)
+    out = tmp_path / "out"
+    out.mkdir()
+    HARDWARE.run(replace(made, accuracy=PRESETS["draft"]), out)
+    assert set(files(tmp_path)) == {"fixtures/cover.stl", "fixtures/mount.stl"}

@@ -26,7 +26,7 @@ from phytac_design.fabrication.hardware.solid_nodes import (
 )
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.solids.cad import cad_facts, write_assembly
+from phytac_design.solids.cad import cad_facts, read_solid, shell_cad, write_assembly, write_solid
 from phytac_design.stages.hardware_stage import HARDWARE
 from tests.fabrication.cad_files import read_assembly, read_step
 from tests.fabrication.cases import design
@@ -104,7 +104,8 @@ def test_whole_sensor_in_one_assembly(tmp_path: Path) -> None:
     surface = small.surface()
     markers = make_markers(small, surface)
     made = switches(small, surface, markers)
-    bodies = sensor_bodies(Sensor.of(small, surface, markers), made)
+    sensor = Sensor.of(small, surface, markers)
+    bodies = sensor_bodies(sensor, made, shell_cad(sensor))
     write_assembly(bodies, tmp_path / "sensor.step", name="case")
     again = read_assembly(tmp_path / "sensor.step")
     assert set(again) == {"shell"} | {f"switch_{k:04d}" for k in range(8)}
@@ -118,6 +119,13 @@ def test_whole_sensor_in_one_assembly(tmp_path: Path) -> None:
         foot = surface.point(markers.uv[k : k + 1])[0]
         aside = np.array(centre) - foot
         assert np.linalg.norm(aside - (aside @ axis) * axis) < 1e-3
+
+
+def test_a_solid_is_read_as_it_was_written(tmp_path: Path) -> None:
+    *parts, _ = _tiny()
+    shell = shell_cad(Sensor.of(*parts))
+    write_solid(shell, tmp_path / "shell.bin")
+    assert cad_facts(read_solid(tmp_path / "shell.bin")) == cad_facts(shell)
 
 
 def test_stage_writes_the_same_bytes_again(tmp_path: Path) -> None:
@@ -142,7 +150,8 @@ def test_stage_writes_the_same_bytes_again(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
     *parts, made = _tiny()
-    bodies: list[Any] = sensor_bodies(Sensor.of(*parts), made)[:1]
+    sensor = Sensor.of(*parts)
+    bodies: list[Any] = sensor_bodies(sensor, made, shell_cad(sensor))[:1]
     with refused("output-not-writable"):
         write_assembly(bodies, tmp_path / "none" / "a.step", name="case")
 

@@ -21,7 +21,7 @@ from phytac_design.fabrication.hardware.solid_nodes import (
 )
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout.sensor import Sensor
-from phytac_design.solids.cad import CadBody, revolved_cad, shell_cad
+from phytac_design.solids.cad import CadBody, revolved_cad
 from phytac_design.solids.cad_kernel import cadquery
 from phytac_design.solids.cad_wall import wall_cad
 from phytac_shapes import Surface
@@ -124,10 +124,13 @@ def wall_body(design: Design, surface: Surface) -> CadBody:
     return CadBody(name=wall, shape=wall_cad(surface, design.wall), colour=COLOURS["shell"])
 
 
-def sensor_bodies(sensor: Sensor, switches: SwitchSet) -> list[CadBody]:
-    """Whole shell, and each switch in its receptor; switches of one kind share a shape."""
+def sensor_bodies(sensor: Sensor, switches: SwitchSet, shell: Any) -> list[CadBody]:
+    """Whole shell, and each switch in its receptor; switches of one kind share a shape.
+
+    ``shell`` is that of :func:`phytac_design.solids.cad.shell_cad`.
+    """
     surface, markers = sensor.surface, sensor.markers
-    bodies = [CadBody(name=SHELL, shape=shell_cad(sensor), colour=COLOURS["shell"])]
+    bodies = [CadBody(name=SHELL, shape=shell, colour=COLOURS["shell"])]
     origin, turn = switch_frames(surface, markers, switches)
     for kind in switches.kinds:
         shape = revolved_cad(switches.profile(kind, SWITCH_mm))

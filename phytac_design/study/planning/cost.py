@@ -203,7 +203,7 @@ def features(
         },
         "resolution": {"one": 1.0, "nodes": nodes, "loads": nodes * counts.in_play / 100.0},
         "shell": solid,
-        "step": {"one": 1.0, "markers": n},
+        "step": {"one": float(accuracy.step), "markers": accuracy.step * n},
         "hardware": solid,
         "mold": solid,
         "kit": solid,

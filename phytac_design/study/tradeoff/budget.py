@@ -44,10 +44,11 @@ LEVELS: tuple[Accuracy, ...] = (
     ),
     DRAFT,
     replace(DRAFT, place_orders=3),
-    replace(DRAFT, refine=4, place_orders=3, cad_tolerance_mm=0.02, frames=10),
+    replace(DRAFT, refine=4, place_orders=3, cad_tolerance_mm=0.02, frames=10, step=True),
     replace(
         DRAFT,
         refine=4,
+        step=True,
         place_orders=3,
         cad_tolerance_mm=0.02,
         press_places=20,

@@ -42,14 +42,15 @@ def pareto(points: Sequence[MeasuredSetting], quantity: str) -> list[MeasuredSet
 
 
 def no_worse(one: MeasuredSetting, other: MeasuredSetting) -> bool:
-    """Whether no error of ``one`` is larger than the other's, and no check of it left out.
+    """Whether no error of ``one`` is larger than the other's, and no check or file left out.
 
-    What a check (``print_tools``) does not find is in none of the errors.
+    What a check (``print_tools``) does not find, and files (``step``), are in none of the errors.
     """
-    checks = [bool(point.settings.get("print_tools", True)) for point in (one, other)]
-    return checks[0] >= checks[1] and all(
-        one.errors[name] <= error for name, error in other.errors.items()
+    left_out = any(
+        bool(other.settings.get(name, True)) and not one.settings.get(name, True)
+        for name in ("print_tools", "step")
     )
+    return not left_out and all(one.errors[name] <= error for name, error in other.errors.items())
 
 
 def beaten_by(point: MeasuredSetting, points: Sequence[MeasuredSetting]) -> float:
