@@ -22,7 +22,7 @@ main()
 """
 ABSENT = {
     "OCP", "cadquery", "dask", "distributed", "gmsh", "lib3mf", "manifold3d", "matplotlib",
-    "meshio", "numba", "onnx", "optuna", "pyarrow", "scipy", "starlette", "tomlkit",
+    "meshio", "numba", "onnx", "optuna", "pyarrow", "pyrender", "scipy", "starlette", "tomlkit",
     "torch", "trimesh", "uvicorn", "yaml",
 }  # fmt: skip
 """Libraries of the extras; typer brings pydantic."""

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 SOURCES = {"phytac_shapes": "shapes", "phytac_decoder": "decoder", "phytac_design": "."}
 """Packages, and the folder that holds each."""
 HEAVY = (
-    "gmsh", "cadquery", "torch", "lib3mf", "onnx", "optuna", "distributed",
+    "gmsh", "cadquery", "pyrender", "torch", "lib3mf", "onnx", "optuna", "distributed",
     "mcap", "mujoco", "pxr", "rerun",
 )  # fmt: skip
 """Libraries that are imported in one module each, at first use."""
@@ -155,7 +155,7 @@ def test_no_word_of_the_old_dialect_names_anything() -> None:
 def test_decoder_runs_without_the_design_tool() -> None:
     code = (
         "import sys, phytac_decoder.pipeline.decode\n"
-        "heavy = {'torch', 'cadquery', 'scipy', 'phytac_design'}\n"
+        "heavy = {'torch', 'cadquery', 'pyrender', 'OpenGL', 'scipy', 'phytac_design'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -142,8 +142,8 @@ for panel, commands in PANELS.items():
 
 EXTRAS = {
     "design": (
-        "OCP cadquery lib3mf manifold3d matplotlib meshio numba pyarrow pydantic "
-        "scipy tomlkit trimesh yaml"
+        "OCP cadquery lib3mf manifold3d matplotlib meshio numba OpenGL pyarrow pydantic "
+        "pyrender scipy tomlkit trimesh yaml"
     ),
     "solid": "gmsh",
     "train": "onnx",

@@ -1,7 +1,8 @@
 """``phytac check``: rules, visibility and density of a design."""
 
+from dataclasses import asdict
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,7 +27,18 @@ LOOK_S = 30.0
 """A reader of the faults waits no longer for a repair."""
 
 
-def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = False) -> None:
+OpenGLOption = Annotated[
+    bool,
+    typer.Option("--opengl", help="Also compare the camera's view with one that OpenGL draws."),
+]
+
+
+def check(
+    design: DesignArgument,
+    seed: SeedOption = 0,
+    opengl: OpenGLOption = False,
+    as_json: JsonOption = False,
+) -> None:
     """Check rules, visibility, density and thresholds alone: no solid, no mesh.
 
     All faults are listed, and a change that repairs them if one is found within seconds.
@@ -44,6 +56,8 @@ def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = Fa
         if not as_json and not unit_hints(loaded.model_dump()):
             _suggest_repair(design, refused=True, seed=seed)
         raise typer.Exit(error.exit_code) from None
+    if opengl:
+        _compare_with_opengl(loaded, report)
     if as_json:
         print_json(report)
         _warn(report)
@@ -120,6 +134,11 @@ def _print_check(report: dict[str, Any]) -> None:
             f"image is sharp from {lens['depth_near_mm']:.1f} to {lens['depth_far_mm']:.1f} mm "
             f"(blur up to {lens['max_blur_px']:.2g} px; a warning says where that is too much)"
         )
+        if own := camera.get("opengl"):
+            typer.echo(
+                f"  by OpenGL, another renderer: {own['found']} of {own['markers']} markers found, "
+                f"{own['median_px']:.2f} px (median) and up to {own['max_px']:.2f} px from there"
+            )
     needs = {
         "occluded": "must be 0",
         "fused": "must be 0",
@@ -139,6 +158,23 @@ def _print_check(report: dict[str, Any]) -> None:
             f"{RED_RATIO_MIN:g} times its {tip['rest_px']} at rest, and {PIXELS_MIN} more)"
         )
     _print_effort(report["effort"])
+
+
+def _compare_with_opengl(design: "Design", report: dict[str, Any]) -> None:
+    """Add what the detector finds in OpenGL's pictures to the cameras of a report."""
+    from phytac_design.layout.sensor import Sensor
+    from phytac_design.workflows.opengl_check import CENTROID_MAX_px, compare_with_opengl
+
+    say("drawing what the camera sees by OpenGL")
+    found = compare_with_opengl(Sensor(design))
+    for camera, own in zip(report["cameras"], found, strict=True):
+        camera["opengl"] = asdict(own) | {"same": own.same}
+        if not own.same:
+            report["warnings"].append(
+                f"the picture by OpenGL shows {own.found} of the {own.markers} markers of the "
+                f"{camera['end']} camera's frame, up to {own.max_px:.2f} px from there (at most "
+                f"{CENTROID_MAX_px:g} px are expected): do not trust the visibility of this design"
+            )
 
 
 def _print_turns(design: "Design") -> None:

@@ -35,6 +35,7 @@ def package_versions() -> dict[str, str]:
         "opencv-contrib-python-headless",
         "manifold3d",
         "cadquery",
+        "pyrender",
         "matplotlib",
     ):
         with suppress(metadata.PackageNotFoundError):

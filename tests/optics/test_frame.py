@@ -1,3 +1,4 @@
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -5,6 +6,7 @@ import pytest
 
 from phytac_decoder.camera.lens import KannalaBrandt
 from phytac_design.optics import frame_renderer as frame_module
+from phytac_design.optics import opengl_picture
 from phytac_design.optics.frame_renderer import (
     add_noise,
     render_frame,
@@ -14,6 +16,7 @@ from phytac_design.optics.frame_renderer import (
     sample_views,
 )
 from phytac_design.optics.light import albedo, triangle_light
+from phytac_design.optics.opengl_picture import render_picture
 from phytac_design.optics.paint import BACKGROUND, BAR, PAINTS, to_linear, to_srgb
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import BAR as BAR_CODE
@@ -21,7 +24,7 @@ from phytac_design.optics.render_scene import paint_owner
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import MissingPartError
 from tests.optics.cases import Bench
-from tests.optics.opengl_picture import render_picture
+from tests.refusals import refused
 
 GL_CENTROID_PX = 0.35  # GL averages after the gamma, which shifts edges between light and dark
 GL_MEDIAN_PX = 0.15
@@ -207,3 +210,24 @@ def test_picture_and_frame_agree_on_colours(few: Bench, gl_picture: ImageArray) 
     # Inside the parts: the shader's gamma is 2.2, sRGB's is piecewise; edges are mixtures.
     assert np.percentile(apart, 90) <= 4.0
     assert apart.mean() < 3.0
+
+
+def test_missing_gl_names_the_packages(few: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyrender", None)
+    with refused("graphics-missing") as caught:
+        render_picture(few.scene(), few.camera)
+    assert "apt-get install libegl1 libgl1 libgl1-mesa-dri" in str(caught.value)
+
+
+def test_a_driver_that_gives_no_context_names_the_packages(
+    few: Bench, monkeypatch: pytest.MonkeyPatch, gl_picture: ImageArray
+) -> None:
+    class Broken:
+        def __init__(self, *_size: int) -> None:
+            raise OSError("EGL_NOT_INITIALIZED")
+
+    module = opengl_picture._pyrender()
+    monkeypatch.setattr(module, "OffscreenRenderer", Broken)
+    with refused("graphics-missing") as caught:
+        render_picture(few.scene(), few.camera)
+    assert "EGL_NOT_INITIALIZED" in str(caught.value)

@@ -91,7 +91,7 @@ def measure_expected(
     model = colour_model(sensor.design)[0]
     rest_frame, on_frame = model.prepared(rest_frame), model.prepared(on_frame)
     expected_px = np.concatenate([marker_px, mark_px])
-    seen = [_matched(sensor, frame, expected_px) for frame in (rest_frame, on_frame)]
+    seen = [matched(sensor, frame, expected_px) for frame in (rest_frame, on_frame)]
     rest = np.where(seen[0].found[:n, None], seen[0].position_px[:n], marker_px)
     bias = np.nan_to_num(seen[1].position_px[:n] - rest)
     red = model.names.index("red")
@@ -105,7 +105,7 @@ def measure_expected(
     )
 
 
-def _matched(sensor: Sensor, prepared: ImageArray, expected_px: FloatArray) -> Matched:
+def matched(sensor: Sensor, prepared: ImageArray, expected_px: FloatArray) -> Matched:
     """Markers and marks, expected at (n + r, 2), in a frame prepared for the decoder's detector."""
     markers, marks = sensor.markers, sensor.reference_marks
     model, classes = colour_model(sensor.design)
@@ -168,7 +168,7 @@ class Shot:
         """Positions (n, 2) px of the markers that the detector finds in a frame."""
         expected_px = np.concatenate([self.expected.rest_px, self.expected.marks_px])
         prepared = colour_model(sensor.design)[0].prepared(frame)
-        return _matched(sensor, prepared, expected_px).position_px[: sensor.markers.count]
+        return matched(sensor, prepared, expected_px).position_px[: sensor.markers.count]
 
 
 def look(

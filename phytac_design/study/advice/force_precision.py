@@ -1,7 +1,8 @@
 """How well the largest force is read at best: the linear shell of a draft build, without pictures.
 
 A Cramér-Rao bound as in the stage ``resolution``, where every marker is taken as seen, at some of
-the receptors. The closed form of studies is faster, and up to five times off beside rims and on flat sides.
+the receptors. The closed form of studies is faster, and up to five times off beside rims and on
+flat sides.
 """
 
 import numpy as np

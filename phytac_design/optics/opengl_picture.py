@@ -1,6 +1,7 @@
 """A scene drawn by OpenGL (pyrender on EGL): what the project's own frames are checked against.
 
-The light is that of ``optics.light``; OpenGL itself projects the geometry and hides surfaces.
+The light is that of ``optics.light``; OpenGL itself projects the geometry and hides surfaces. Only
+this module uses OpenGL. Each picture has its own context; do not call it from several threads.
 """
 
 import os
@@ -9,17 +10,34 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
+from phytac_decoder.camera.lens import Pinhole
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND
 from phytac_design.optics.render_scene import RenderScene
 from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import MissingPartError
+
+GL_FIX = (
+    "install the system libraries (Debian, Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri) "
+    "and the Python extra (pip install 'phytac-design[design]')"
+)
 
 
 def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
-    """Anti-aliased 8-bit picture (h, w, 3), BGR, in the pixels of a pinhole camera."""
-    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-    import pyrender
+    """Anti-aliased 8-bit picture (h, w, 3), BGR, in the camera's own pixels.
 
+    Raises
+    ------
+    MissingPartError
+        If pyrender or an EGL driver is missing (the message names the packages), or the lens is
+        not a pinhole, the only one that OpenGL can draw.
+    """
+    if not isinstance(camera.lens, Pinhole):
+        raise MissingPartError(
+            "lens-not-drawable",
+            f"no OpenGL picture: OpenGL draws pinholes only (got a {camera.lens.model} lens)",
+        )
+    pyrender = _pyrender()
     gl_to_cv = np.diag([1.0, -1.0, -1.0])  # openGL's camera looks along -z with y up
     background = [*(np.array(BACKGROUND) / 255.0), 1.0]
     stage = pyrender.Scene(bg_color=background, ambient_light=np.ones(3))
@@ -37,12 +55,29 @@ def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
     pose[:3, :3] = camera.rotation.T @ gl_to_cv
     pose[:3, 3] = camera.position_mm
     stage.add(gl_camera, pose=pose)
-    renderer = pyrender.OffscreenRenderer(camera.width_px, camera.height_px)
+    try:
+        renderer = pyrender.OffscreenRenderer(camera.width_px, camera.height_px)
+    except Exception as error:  # PyOpenGL raises its own kinds, by driver
+        raise MissingPartError(
+            "graphics-missing", f"no OpenGL picture: EGL gave no context ({error}); {GL_FIX}"
+        ) from error
     try:
         colour, _ = renderer.render(stage)
     finally:
         renderer.delete()
     return np.ascontiguousarray(colour[:, :, ::-1])
+
+
+def _pyrender() -> Any:
+    """Import pyrender on EGL."""
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    try:
+        import pyrender
+    except Exception as error:  # PyOpenGL fails with ImportError, AttributeError, ... by platform
+        raise MissingPartError(
+            "graphics-missing", f"no OpenGL picture: pyrender failed ({error}); {GL_FIX}"
+        ) from error
+    return pyrender
 
 
 def _primitive(pyrender: Any, scene: RenderScene, camera: Camera) -> Any:
