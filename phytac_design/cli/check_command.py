@@ -157,6 +157,11 @@ def _print_check(report: dict[str, Any]) -> None:
             f"  {label:48s} {tip['on_px']} when out  (needs {tip['needed_px']:g}: "
             f"{RED_RATIO_MIN:g} times its {tip['rest_px']} at rest, and {PIXELS_MIN} more)"
         )
+    for made in report.get("switches", ()):
+        typer.echo(
+            f"switches of {made['threshold_N']:g} N: {made['family']} of {made['rubber']}, "
+            f"{made['choice'] or 'its threshold spreads by ± {:.0%}'.format(made['band'])}"
+        )
     _print_effort(report["effort"])
 
 

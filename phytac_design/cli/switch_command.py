@@ -48,7 +48,8 @@ def switch(
         str | None,
         typer.Option(
             help="Family to compare: bowl, membrane, plunger, or auto for all. All rubbers are "
-            "compared if none is given. Takes minutes; the smallest spread comes first."
+            "compared if none is given here or, with a family, by the design. Takes minutes; the "
+            "smallest spread comes first."
         ),
     ] = None,
     molds: Annotated[
@@ -60,17 +61,21 @@ def switch(
     plot: Annotated[Path | None, typer.Option(help="Force–stroke curve to write, SVG.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Design the threshold switch: a soft bowl that snaps at the given force.
+    """Design the threshold switch: a soft bowl that snaps at the given force, or another family.
 
-    Missing options come from the switch table of the design. With --family it compares families of
-    switches by the spread of their threshold. A build makes bowls only.
+    Missing options come from the switch table of the design. With --family, or where the design's
+    family is not bowl, it compares families of switches by the spread of their threshold.
     """
     from phytac_design.design.design_file import load_design
     from phytac_design.mechanics.switch.design import design_switch
     from phytac_design.mechanics.switch.family_spread import FamilyTolerance
     from phytac_design.mechanics.switch.line_plot import check_svg, write_svg
-    from phytac_design.mechanics.switch.rubbers import RUBBERS
-    from phytac_design.mechanics.switch.switch_inputs import chosen_rubber, rubber_of, space_of
+    from phytac_design.mechanics.switch.switch_inputs import (
+        chosen_rubber,
+        known_rubbers,
+        rubbers_of,
+        space_of,
+    )
     from phytac_design.mechanics.switch.switch_report import (
         curve_plot,
         switch_dict,
@@ -83,21 +88,20 @@ def switch(
     if plot:
         check_svg(plot)
     loaded = load_design(design)
-    own = loaded.switch
-    given = not (material is None and modulus is None and test is None)
-    if given:
-        chosen = chosen_rubber(material or own.material, modulus_MPa=modulus, test=test, law=law)
+    own, compared = loaded.switch, family is not None
+    if not (material is None and modulus is None and test is None):
+        rubbers = [chosen_rubber(material or own.material, modulus_MPa=modulus, test=test, law=law)]
     else:
-        chosen = rubber_of(loaded)
+        rubbers = rubbers_of(loaded) if family is None else known_rubbers(loaded)
+    family = own.family if family is None else family
     asked = own.threshold_N if threshold is None else threshold
     thickness = own.wall_tolerance_mm if tolerance is None else tolerance
-    if family is not None:
-        rest = [] if given else [item for item in RUBBERS.values() if item.name != chosen.name]
+    if compared or family != "bowl":
         _compare(
             loaded,
             family,
             asked,
-            [chosen, *rest],
+            rubbers,
             space_of(loaded, wall_min_mm=wall_min),
             FamilyTolerance(thickness_mm=thickness, modulus=own.modulus_tolerance),
             plot=plot,
@@ -113,7 +117,7 @@ def switch(
         )
     made = design_switch(
         asked,
-        chosen,
+        rubbers[0],
         space_of(loaded, wall_min_mm=wall_min),
         Tolerance(thickness_mm=thickness, modulus=own.modulus_tolerance),
     )
@@ -157,7 +161,7 @@ def _compare(
     from phytac_design.optics.tip_travel import tip_travel_on_mm
     from phytac_shapes.errors import DesignError, InputError
 
-    chosen = [name for name in FAMILIES if family in {name, "auto"}]
+    chosen = [name for name in FAMILIES if family in {name, "auto", "best"}]
     if not chosen:
         raise InputError(
             "switch-family-unknown",

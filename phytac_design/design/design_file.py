@@ -66,14 +66,16 @@ def design_hash(design: Design) -> str:
     """Hash of the resolved design, the same for the same fields in any order.
 
     Names of regions and the effort are left out: with others it is still the same sensor. So are
-    reference marks where there are none and paints that were not measured: designs from before
-    they existed keep their hash.
+    reference marks where there are none, paints that were not measured and the family of bowls:
+    designs from before they existed keep their hash.
     """
-    unused = {"regions", "effort"}
+    unused: dict[str, Any] = {"regions": True, "effort": True}
     if not design.reference_marks.count:
-        unused.add("reference_marks")
+        unused["reference_marks"] = True
     if design.paints == NOMINAL_PAINTS:
-        unused.add("paints")
+        unused["paints"] = True
+    if design.switch.family == "bowl":
+        unused["switch"] = {"family"}
     text = json.dumps(design.model_dump(mode="json", exclude=unused), sort_keys=True)
     return sha256(text.encode()).hexdigest()
 

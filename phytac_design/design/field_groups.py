@@ -81,19 +81,21 @@ PARTS: dict[str, tuple[str, ...]] = {
         "training.patch_radius_max_mm",
     ),
     "pictures": ("markers", "cameras", "bodies", "camera.noise_pixel"),
-    # What trips a switch.
-    "trips": ("switch.threshold_N", "switch.regions", "switch.footprint_diameter_mm"),
 }
 
 
 def fields_of(design: Design, names: Iterable[str]) -> tuple[str, ...]:
     """Tables and fields that these names stand for in a design, sorted, without repeats.
 
-    ``bases``, ``tubes`` (with heights) and ``markers`` (with colours) are the receptors.
+    ``bases``, ``tubes`` (with heights) and ``markers`` (with colours) are the receptors, ``trips``
+    is what trips a switch.
     """
     found: set[str] = set()
     for name in names:
-        parts = receptor_parts(design, name) if name in RECEPTORS else PARTS.get(name)
+        if name in RECEPTORS:
+            parts: tuple[str, ...] | None = receptor_parts(design, name)
+        else:
+            parts = trip_parts(design) if name == "trips" else PARTS.get(name)
         found |= {name} if parts is None else set(fields_of(design, parts))
     tables = {name for name in found if "." not in name}
     return tuple(
@@ -119,6 +121,19 @@ def receptor_parts(design: Design, name: str) -> tuple[str, ...]:
     if name == "markers":
         found.append("colours")
     return tuple(found)
+
+
+def trip_parts(design: Design) -> tuple[str, ...]:
+    """Parts and fields that the force depends on at which the camera sees a switch as on.
+
+    A bowl snaps at its threshold. Other families are solved, and seen by the camera as their tips
+    come out.
+    """
+    if design.switch.family == "bowl":
+        trips = ("family", "threshold_N", "regions", "footprint_diameter_mm")
+        return tuple(f"switch.{name}" for name in trips)
+    mold = ("mold.draft_deg", "print_rules.gap_min_mm", "print_rules.wall_min_mm")
+    return ("switch", *mold, "markers", "cameras", "bodies")
 
 
 def values_of(design: Design, names: Iterable[str]) -> dict[str, Any]:

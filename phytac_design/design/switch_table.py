@@ -7,6 +7,8 @@ from pydantic import Field, model_validator
 from phytac_design.design.base_table import Section, assumed
 
 Id = Annotated[int, Field(ge=0)]
+BEST = "best"
+"""Family or rubber that is left to the choice of the smallest spread."""
 
 
 class SwitchRegion(Section):
@@ -29,15 +31,18 @@ class SwitchRegion(Section):
 
 
 class SwitchSection(Section):
-    """The threshold switch: a soft bowl on the outer face, its stem, its red tip."""
+    """The threshold switch: a soft body on the outer face, its stem, its red tip."""
 
+    family: Literal["bowl", "membrane", "plunger", "best"] = "bowl"
+    """`bowl` snaps; `membrane` and `plunger` do not: their tips come out as the force grows;
+    `best`: whichever has the smallest spread of its threshold."""
     threshold_N: float = Field(0.5, gt=0.0, le=1000.0)
-    """The switch turns on when the force on its bowl's footprint exceeds this."""
+    """The switch turns on when the force on its footprint exceeds this."""
     release_N: float = assumed(0.4, ge=0.0, le=1000.0)
-    """The switch turns off again below this force; lower than the threshold. In regions it
-    is in proportion to theirs."""
+    """A bowl turns off again below this force; lower than the threshold. In regions it
+    is in proportion to theirs. The other families turn off at the threshold."""
     footprint_diameter_mm: float = assumed(4.6, gt=0.0, le=500.0)
-    """Diameter of the bowl: contact pressure is summed over this disc."""
+    """Diameter of bowl, membrane or plunger: contact pressure is summed over this disc."""
     tip_diameter_mm: float = assumed(1.2, gt=0.0, le=200.0)
     """Diameter of the red tip; it must pass the hole."""
     tip_recess_mm: float = assumed(0.3, ge=0.0, le=100.0)
@@ -45,17 +50,26 @@ class SwitchSection(Section):
     stroke_mm: float = assumed(1.5, gt=0.0, le=100.0)
     """How far a switch that is on pushes its tip."""
     material: str = Field("tpu-8400n", max_length=64)
-    """Rubber of bowl and stem; `phytac switch --help` lists them."""
+    """Rubber of the switch and its stem; `best`: whichever known one has the smallest spread."""
     modulus_MPa: float = assumed(0.0, ge=0.0, le=1000.0)
     """Young's modulus of that rubber as you mix it; 0 for the one assumed with its name."""
     wall_min_mm: float = assumed(0.2, gt=0.0, le=100.0)
     """Thinnest wall that the mold casts."""
     wall_tolerance_mm: float = assumed(0.05, ge=0.0, le=0.5)
-    """± of a bowl's wall, at two standard deviations."""
+    """± of a switch's walls, at two standard deviations."""
     modulus_tolerance: float = assumed(0.1, ge=0.0, le=0.5)
     """± of the modulus, relative, at two standard deviations."""
     regions: tuple[SwitchRegion, ...] = Field((), max_length=20)
     """Receptors with other thresholds; where regions overlap, the last one counts."""
+
+    @model_validator(mode="after")
+    def _bowls_of_one_rubber(self) -> Self:
+        if self.family == "bowl" and self.material == BEST:
+            raise ValueError(
+                'material = "best" compares rubbers by their spread, and a bowl is designed for '
+                'one; set family = "best" (or plunger, membrane), or name the rubber'
+            )
+        return self
 
 
 class MoldSection(Section):

@@ -232,6 +232,21 @@ def record(folder: Path) -> dict[str, Any]:
     return data
 
 
+def solved_once(name: str, inputs: Any, solve: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What ``solve`` finds for inputs, as plain values, from the cache if it is there.
+
+    A cache that cannot be written, as on a full disk, is no fault: nothing in it is the user's.
+    """
+
+    def work(_: Path) -> dict[str, Any]:
+        return solve()
+
+    try:
+        return record(publish(name, stage_key(name, inputs), work))
+    except OutputError:
+        return solve()
+
+
 def age_s(folder: Path) -> float:
     """Seconds since a result was last used."""
     return max(time.time() - (folder / RECORD).stat().st_mtime, 0.0)

@@ -79,6 +79,20 @@ class SwitchSet:
     row: IntArray | None
 
     @property
+    def body(self) -> str:
+        """What stands on the outer face: the switches' family, or "switch" if they are of several.
+
+        "bowl" if there are none.
+        """
+        families = {self.family(number) for number in range(len(self.bowls))} or {"bowl"}
+        return families.pop() if len(families) == 1 else "switch"
+
+    def family(self, number: int) -> str:
+        """Family of one of ``bowls``."""
+        shape = self.bowls[number]
+        return shape.cup.family if isinstance(shape, CupOutline) else "bowl"
+
+    @property
     def kinds(self) -> list[tuple[int, int]]:
         """Different switches as (bowl, length), in order."""
         return sorted(set(zip(self.bowl.tolist(), self.length.tolist(), strict=True)))
@@ -113,12 +127,13 @@ def reach_mm(sensor: Sensor) -> FloatArray:
 def make_switches(
     sensor: Sensor, made: Sequence[Mapping[str, Any]], threshold_N: FloatArray
 ) -> SwitchSet:
-    """Set of switches from designed bowls.
+    """Set of switches from designed ones.
 
     Parameters
     ----------
     made : sequence of mappings
-        ``threshold_N`` and ``bowl`` (its dimensions) of each, as the switch stage reports them.
+        ``threshold_N`` and ``bowl`` (its dimensions) of each, as the switch stage reports them; of
+        a membrane or plunger ``cup``, ``stop_mm`` and ``stem_diameter_mm``, and what it is cast of.
     threshold_N : (n,) float
         Threshold of each marker's switch.
     """
@@ -134,8 +149,19 @@ def make_switches(
             lengths_mm=none,
             row=None,
         )
-    bowls = [Bowl(**item["bowl"]) for item in made]
-    return arrange_switches(sensor, bowls, [item["threshold_N"] for item in made], threshold_N)
+    shapes = [_shape(item) for item in made]
+    return arrange_switches(sensor, shapes, [item["threshold_N"] for item in made], threshold_N)
+
+
+def _shape(made: Mapping[str, Any]) -> Bowl | CupOutline:
+    """Bowl, or outline of a membrane or plunger, of a designed switch."""
+    if "bowl" in made:
+        return Bowl(**made["bowl"])
+    return CupOutline(
+        cup=SoftCup(**made["cup"]),
+        stop_mm=made["stop_mm"],
+        stem_diameter_mm=made["stem_diameter_mm"],
+    )
 
 
 def arrange_switches(

@@ -343,21 +343,34 @@ def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing
 
 
 def switch_section(context: Context, report: Mapping[str, Any]) -> str:
-    """Bowls side by side, their force curves, warnings, and the visibility of the tips."""
+    """Switches side by side, their force curves, warnings, and the visibility of the tips."""
     # report.json and the files of the folder ``switch`` hold the rest.
     names = {
+        "family": "family",
+        "choice": "why this one",
         "threshold_N": "nominal threshold (N)",
-        "limit_N": "threshold of the bowl (N)",
+        "limit_N": "threshold of the switch (N)",
+        "receptors_least_N": "smallest threshold as the camera sees the receptors (N)",
+        "receptors_most_N": "largest of these (N)",
         "spread.low_N": "smallest of a batch (N)",
         "spread.high_N": "largest of a batch (N)",
-        "valley_N": "force once it has snapped (N)",
+        "valley_N": "it turns off below (N)",
         "travel_mm": "travel of the snap (mm)",
+        "on_mm": "travel at which it is on (mm)",
+        "stop_mm": "travel at its stop (mm)",
+        "stop_N": "force at its stop (N)",
         "visible_mm": "tip shows, when out (mm)",
         "strain": "largest strain",
         "bowl.diameter_mm": "bowl: diameter (mm)",
         "bowl.depth_mm": "bowl: depth (mm)",
         "bowl.thickness_mm": "bowl: wall (mm)",
         "bowl.stem_diameter_mm": "bowl: stem diameter (mm)",
+        "cup.diameter_mm": "diameter (mm)",
+        "cup.height_mm": "inner height (mm)",
+        "cup.side_mm": "side wall (mm)",
+        "cup.roof_mm": "roof (mm)",
+        "cup.boss_mm": "boss (mm)",
+        "stem_diameter_mm": "stem diameter (mm)",
         "rubber.name": "rubber",
         "rubber.modulus_MPa": "its Young's modulus (MPa)",
     }
@@ -374,12 +387,18 @@ def switch_section(context: Context, report: Mapping[str, Any]) -> str:
         + "".join(f'<p class="foot">{escape(sentence(text))}</p>' for text in warnings)
         + page.side_by_side(
             *(
-                page.svg_figure(path.read_text(encoding="utf-8"), f"Force over stroke: {path.stem}")
+                page.svg_figure(path.read_text(encoding="utf-8"), _curve_caption(path.stem))
                 for path in curves
             )
         )
         + figure_names.facts(red, "switch")
     )
+
+
+def _curve_caption(stem: str) -> str:
+    """Caption of a plot of the switch stage."""
+    switch = stem.removesuffix("_red")
+    return f"{'Force over stroke' if switch == stem else 'Visible red over force'}: {switch}"
 
 
 def frames_section(context: Context, report: Mapping[str, Any], table: str) -> str:

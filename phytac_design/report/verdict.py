@@ -128,7 +128,9 @@ def _cast(switch: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding]:
             f"{item['spread']['high_N']:.2g} N in a batch)"
             for item in made
         )
-        out.append(Finding("cast", "good", f"bowls snap at {each}"))
+        families = [item["family"] for item in made if not missing(item.get("family"))]
+        words = f"{' and '.join(dict.fromkeys(families))} on at" if families else "bowls snap at"
+        out.append(Finding("cast", "good", f"{words} {each}"))
     mold = facts["mold"]
     if not missing(facts["mold_left_out"]):
         out.append(Finding("cast", "odd", f"no molds: {facts['mold_left_out']}"))

@@ -8,7 +8,7 @@ from phytac_design.fabrication.hardware.hardware_assembly import check_hardware
 from phytac_design.layout.mark_placement import place_reference_marks
 from phytac_design.layout.region_chart import design_regions
 from phytac_design.layout.sensor import Sensor
-from phytac_design.mechanics.switch.switch_inputs import rubber_of
+from phytac_design.mechanics.switch.switch_inputs import rubbers_of
 from phytac_design.optics.separability import check_paints
 from phytac_design.optics.sharpness import sharpness
 from phytac_design.rules.body_rules import check_cameras, check_fixtures
@@ -62,7 +62,7 @@ RULES: dict[str, Rule] = {
     "paints": (lambda sensor: check_paints(sensor.design), ""),
     "cameras": (check_cameras, "heights"),
     "sharpness": (_sharp, "cameras"),
-    "rubber": (lambda sensor: rubber_of(sensor.design), ""),
+    "rubber": (lambda sensor: rubbers_of(sensor.design), ""),
     "hardware": (lambda sensor: check_hardware(sensor.design, sensor.surface), "reach tubes"),
 }
 """Rules in their order."""

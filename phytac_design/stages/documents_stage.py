@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.core.figures import pdf, svg
+from phytac_design.design.spec import Design
+from phytac_design.design.switch_table import BEST
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.documents import bill_of_materials as bill
 from phytac_design.fabrication.documents.assembly_page import assembly_html, fixture_steps
@@ -29,7 +31,7 @@ def run(context: Context, folder: Path) -> None:
     if without_switches(context, folder, needed=False):
         return
     design, markers = context.design, context.markers
-    switches = switches_of(context)
+    switches, cast = switches_of(context), cast_design(context)
 
     drawn = make_map(context.sensor, switches)
     write_text(folder, "bench/paint_map.svg", svg(whole_page(drawn)))
@@ -57,16 +59,16 @@ def run(context: Context, folder: Path) -> None:
     write_text(folder, "bench/bill_of_materials.csv", bill.bill_csv(rows))
     recipe = None
     if switches.kinds:
-        recipe = make_recipe(design, rubber_mm3(rows), _volume_mm3(rows, "silicone"))
-        write_text(folder, "bench/casting.md", recipe_text(design, recipe))
+        recipe = make_recipe(cast, rubber_mm3(rows), _volume_mm3(rows, "silicone"))
+        write_text(folder, "bench/casting.md", recipe_text(cast, recipe, body=switches.body))
     context.progress("bench: assembly sheet")
     sheet = assembly_html(
-        design,
+        cast,
         switches,
         recipe,
         count=markers.count,
         bill=rows,
-        steps=recipe_steps(design, recipe) if recipe else (),
+        steps=recipe_steps(cast, recipe, body=switches.body) if recipe else (),
         fixture_steps=fixture_steps(design, hardware),
         pictures=pictures(context),
         section=section_svg(design, markers, switches) if recipe else "",
@@ -88,6 +90,16 @@ def run(context: Context, folder: Path) -> None:
             },
         },
     )
+
+
+def cast_design(context: Context) -> Design:
+    """The design with the rubber that was chosen for its switches, where it names none."""
+    design = context.design
+    if not design.has_switches or design.switch.material != BEST:
+        return design
+    chosen = context.facts("switch")["switches"][0]["rubber"]["name"]
+    switch = design.switch.model_copy(update={"material": chosen})
+    return design.model_copy(update={"switch": switch})
 
 
 def parts_of(context: Context) -> dict[str, list[dict[str, Any]]]:

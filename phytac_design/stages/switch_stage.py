@@ -1,4 +1,4 @@
-"""The design's threshold switches: one bowl for each threshold, solved and fitted."""
+"""The design's threshold switches: one of a family for each threshold, solved and fitted."""
 
 import json
 from pathlib import Path
@@ -9,13 +9,16 @@ import numpy as np
 from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px
 from phytac_design.core.json_values import finite
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
+from phytac_design.fabrication.documents.bill_of_materials import family_words
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches, revolved_volume_mm3
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.design import design_switch
+from phytac_design.mechanics.switch.family_report import chosen_plots
 from phytac_design.mechanics.switch.line_plot import write_svg
 from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
 from phytac_design.mechanics.switch.switch_report import curve_plot, switch_dict
 from phytac_design.mechanics.switch.switch_space import Tolerance
+from phytac_design.simulation.switch_law import chosen_switches
 from phytac_shapes.errors import DesignError
 
 
@@ -43,7 +46,8 @@ def run(context: Context, folder: Path) -> None:
             "count": len(switches.markers_of(kind)),
             "material": "tpu",
             "volume_mm3": revolved_volume_mm3(switches.profile(kind)),
-            "note": f"{float(switches.lengths_mm[kind[1]]):.1f} mm from the outer face to the tip",
+            "note": f"{family_words(switches, kind[0])}{float(switches.lengths_mm[kind[1]]):.1f} "
+            "mm from the outer face to the tip",
         }
         for kind in switches.kinds
     ]
@@ -54,7 +58,7 @@ def run(context: Context, folder: Path) -> None:
 
 
 def design_switches(context: Context, folder: Path) -> list[dict[str, Any]]:
-    """Design one bowl for each threshold, write its curve, and return its facts without it.
+    """Design one switch for each threshold, write its curves, and return its facts without them.
 
     Raises
     ------
@@ -62,20 +66,32 @@ def design_switches(context: Context, folder: Path) -> list[dict[str, Any]]:
         If one does not fit the space or has no data for its rubber.
     """
     design, switch = context.design, context.design.switch
+    if switch.family != "bowl":
+        return [
+            _written(made, chosen_plots(made), folder)
+            for made in chosen_switches(design, context.progress)
+        ]
     rubber, space = rubber_of(design), space_of(design)
     tolerance = Tolerance(thickness_mm=switch.wall_tolerance_mm, modulus=switch.modulus_tolerance)
     found = []
     for threshold in np.unique(thresholds_N(design, context.markers)):
         context.progress(f"switch: bowl for {threshold:g} N")
         found.append(design_switch(float(threshold), rubber, space, tolerance))
-    for made in found:
-        name = f"switch/switch_{made.threshold_N:g}N"
-        text = json.dumps(switch_dict(made), indent=1, ensure_ascii=False)
-        write_text(folder, f"{name}.json", text + "\n")
-        write_svg(export_path(folder, f"{name}.svg"), curve_plot(made))
-    return [
-        {key: value for key, value in switch_dict(made).items() if key != "curve"} for made in found
-    ]
+    return [_written(switch_dict(made), {"": curve_plot(made)}, folder) for made in found]
+
+
+def _written(made: dict[str, Any], plots: dict[str, str], folder: Path) -> dict[str, Any]:
+    """Write a switch and its plots, and return its facts without curves."""
+    name = f"switch/switch_{made['threshold_N']:g}N"
+    text = json.dumps(made, indent=1, ensure_ascii=False)
+    write_text(folder, f"{name}.json", text + "\n")
+    for ending, plot in plots.items():
+        write_svg(export_path(folder, f"{name}{ending}.svg"), plot)
+    facts = {k: v for k, v in made.items() if k not in {"curve", "red", "receptors_N"}}
+    if "receptors_N" in made:
+        facts["receptors_least_N"] = min(made["receptors_N"])
+        facts["receptors_most_N"] = max(made["receptors_N"])
+    return facts
 
 
 def refusal(context: Context) -> str:
@@ -91,7 +107,8 @@ def absence(context: Context) -> str:
 def red_of(context: Context) -> dict[str, Any]:
     """Red pixels of the tips in the camera against the decoder's minimum, at the weakest switch.
 
-    The image uses the design's stroke; the bowls' own stroke is at least that.
+    The image uses the design's stroke. A bowl's own stroke is at least that; other families come
+    out as the force grows, and their thresholds are taken where their red is enough.
     """
     views = context.arrays("views")
     rest, out = views["tip_red_rest_px"], views["tip_red_on_px"]
@@ -144,7 +161,10 @@ def _set_of(context: Context, made: list[dict[str, Any]]) -> SwitchSet:
 
 SWITCH = Stage(
     name="switch",
-    design_fields=("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules"),
+    design_fields=(
+        *("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules"),
+        "trips",
+    ),
     depends_on=("views",),
     arrays={"views": ("tip_red_rest_px", "tip_red_on_px")},
     gate=refusal,

@@ -10,6 +10,7 @@ from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.simulation.scenario.linear_error import NEARLY_LINEAR, linear_error
+from phytac_design.simulation.switch_law import chosen_switches
 from phytac_design.workflows.switch_feasibility import check_thresholds
 from phytac_shapes.errors import DesignError, NumericalError
 
@@ -28,7 +29,8 @@ def full_check(
     dict
         As :func:`~phytac_design.rules.design_review.checkup`; ``visible`` says whether every marker
         is, ``faults`` lists code and text of each fault of the switches, if there are some, and
-        ``clear`` is false then.
+        ``clear`` is false then. ``switches`` has the family, rubber and spread of each threshold,
+        and why, where the design's family is not the bowl.
 
     Raises
     ------
@@ -47,7 +49,20 @@ def full_check(
         )
         if fault
     ]
-    return report | ({"clear": False, "faults": faults} if faults else {})
+    if faults:
+        return report | {"clear": False, "faults": faults}
+    if design.has_switches and design.switch.family != "bowl":
+        report["switches"] = [
+            {
+                "threshold_N": made["threshold_N"],
+                "family": made["family"],
+                "rubber": made["rubber"]["name"],
+                "band": made["spread"]["band"],
+                "choice": made["choice"],
+            }
+            for made in chosen_switches(design, progress)
+        ]
+    return report
 
 
 def snapping_words(

@@ -1,4 +1,4 @@
-"""Whether bowls can have a design's thresholds, for ``phytac check`` and ``phytac new``.
+"""Whether switches can have a design's thresholds, for ``phytac check`` and ``phytac new``.
 
 Outcomes are cached by space and rubber: the next check of the same switches solves nothing, nor
 one of the same rubber in another mix, whose thresholds are in proportion to its modulus.
@@ -6,13 +6,12 @@ one of the same rubber in another mix, whose thresholds are in proportion to its
 
 from collections.abc import Callable
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.engine.cache import lookup, publish, record, stage_key
+from phytac_design.engine.cache import lookup, record, solved_once, stage_key
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.feasible_range import (
@@ -26,13 +25,14 @@ from phytac_design.mechanics.switch.rubbers import RUBBERS, Rubber
 from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_design.mechanics.switch.threshold_bound import far_too_high
-from phytac_shapes.errors import DesignError, OutputError
+from phytac_design.simulation.switch_law import chosen_switches
+from phytac_shapes.errors import DesignError
 
 
 def check_thresholds(design: Design, *, progress: Callable[[str], None] = lambda _: None) -> None:
-    """Check that a bowl can have each threshold of a design.
+    """Check that a bowl, or the design's family of switches, can have each threshold of a design.
 
-    Buckling and tolerances are not evaluated; a build does that.
+    Of bowls, buckling and tolerances are not evaluated; a build does that.
 
     Raises
     ------
@@ -41,6 +41,9 @@ def check_thresholds(design: Design, *, progress: Callable[[str], None] = lambda
         cannot be placed.
     """
     if not design.has_switches:
+        return
+    if design.switch.family != "bowl":
+        chosen_switches(design, progress)
         return
     rubber, space = rubber_of(design), space_of(design)
     solved = _solved_range(design, rubber, space)
@@ -55,7 +58,7 @@ def check_thresholds(design: Design, *, progress: Callable[[str], None] = lambda
             return {"far": far, "misfit": "" if far else misfit(wanted_N, rubber, space)}
 
         inputs = [design.switch.material, design.switch.modulus_MPa, asdict(space), threshold_N]
-        known = _known("threshold_fit", inputs, solve)
+        known = solved_once("threshold_fit", inputs, solve)
         why, far = str(known["misfit"]), str(known["far"])
         if far:
             faults.append(f"{_fault_start(threshold_N, rubber, space)}: no wall gives it, {far}")
@@ -89,7 +92,7 @@ def threshold_range(
         found = feasible_range(rubber.of_modulus(1.0), space)
         return {"range": found and asdict(found)}
 
-    found = _known("threshold_range", _range_inputs(design, space), solve)["range"]
+    found = solved_once("threshold_range", _range_inputs(design, space), solve)["range"]
     return None if found is None else FeasibleRange(**found).of_modulus(_modulus_MPa(rubber))
 
 
@@ -156,18 +159,6 @@ def _fault_start(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> str:
         f"a switch of {threshold_N:g} N does not fit a bowl {space.diameter_mm:.3g} mm wide of "
         f"{rubber.name} at {rubber.material.modulus_MPa:.3g} MPa"
     )
-
-
-def _known(name: str, inputs: list[Any], solve: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """What ``solve`` finds for inputs, from the cache if it is there."""
-
-    def work(_: Path) -> dict[str, Any]:
-        return solve()
-
-    try:
-        return record(publish(name, stage_key(name, inputs), work))
-    except OutputError:
-        return solve()  # a check writes nothing that the user needs: a full disk is no fault of it
 
 
 def _modulus_MPa(rubber: Rubber) -> float:

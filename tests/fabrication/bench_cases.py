@@ -19,14 +19,30 @@ BOWL = {"diameter_mm": 4.6, "depth_mm": 1.77, "thickness_mm": 0.22, "stem_diamet
 BOWL |= {"pad_diameter_mm": 1.44, "pad_height_mm": 0.02, "fillet_mm": 0.24}
 THIN = BOWL | {"diameter_mm": 4.0, "depth_mm": 1.65, "stem_diameter_mm": 1.2}
 THIN |= {"pad_diameter_mm": 1.2}
+PLUNGER: dict[str, Any] = {
+    "family": "plunger",
+    "cup": {
+        "family": "plunger",
+        "diameter_mm": 4.6,
+        "height_mm": 4.1,
+        "side_mm": 0.73,
+        "roof_mm": 0.8,
+        "hub_diameter_mm": 2.0,
+        "draft_deg": 0.51,
+    },
+    "stop_mm": 1.5,
+    "stem_diameter_mm": 1.44,
+    "rubber": {"name": "dragon-skin-20"},
+}
 
 
 def context_of(design: Design, folder: Path) -> Context:
-    """Context whose switch stage is made up: one bowl for every threshold of the design."""
+    """Context whose switch stage is made up: one bowl or plunger for every threshold."""
     context = Context(design=design, accuracy=PRESETS["draft"], seed=0, progress=lambda _: None)
     bowl = BOWL if design.switch.footprint_diameter_mm > 4.5 else THIN
     wanted = sorted(set(thresholds_N(design, context.markers).tolist()))
-    facts: dict[str, Any] = {"switches": [{"threshold_N": force, "bowl": bowl} for force in wanted]}
+    one = {"bowl": bowl} if design.switch.family == "bowl" else PLUNGER
+    facts: dict[str, Any] = {"switches": [{"threshold_N": force} | one for force in wanted]}
     if not design.has_switches:
         facts = {"switches": [], "absent": "the design has no switches"}
     put(context, folder, "switch", facts)

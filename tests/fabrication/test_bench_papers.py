@@ -204,6 +204,24 @@ def test_the_recipe_follows_the_way_of_casting_and_the_rubber() -> None:
         assert foreign not in text
 
 
+def test_plungers_go_through_mold_and_papers(tmp_path: Path) -> None:
+    case = design(**SMALL, switch={"family": "best", "material": "best"})
+    found = exported(ran(case, tmp_path))
+    made = switches(case, tmp_path / "again")
+    assert made.body == "plunger"
+    sheet, text = (found[f"bench/{name}"].read_text() for name in ("assembly.html", "casting.md"))
+    assert re.search("<th[^>]*>family</th>.*plunger", sheet)
+    assert "until the plunger&#x27;s rim lies" in sheet
+    assert "g of dragon-skin-20 in all" in sheet
+    assert "The plungers are designed for a modulus of 0.365 MPa" in text
+    rows = rows_of(found["bench/bill_of_materials.csv"])
+    notes = [row["note"] for row in rows if row["part"].startswith("switch ")]
+    assert notes
+    assert all(note.startswith("plunger, 0.5 N, ") for note in notes)
+    assert "bowl" not in sheet + text
+    assert found["mold/dome_tray_1.stl"].stat().st_size > 0
+
+
 def test_the_shell_is_of_the_design_s_material() -> None:
     case = shipped("cylinder60")
     for modulus_MPa, words in ((2200.0, "tough resin"), (43.8, "TPU"), (77.0, "of 77 MPa")):

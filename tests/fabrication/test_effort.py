@@ -52,6 +52,17 @@ def test_counts_and_material_are_those_of_the_molds_and_switches(tmp_path: Path)
     assert made.volume_mm3["rubber"] == pytest.approx(rubber_mm3(rows), rel=0.05)
 
 
+def test_a_plunger_is_estimated_as_it_is_made(tmp_path: Path) -> None:
+    case = design(layout={"columns": 3}, switch={"family": "plunger"})
+    made, plain = effort_of(Sensor(case)), effort(layout={"columns": 3})
+    switch = switches(case, tmp_path)
+    (mold,) = make_molds(case.mold, case.print_rules, switch)
+    rubber = mold_volumes(mold.plan, mold.sizes).rubber_mm3
+    assert made.volume_mm3["rubber"] == pytest.approx(rubber, rel=0.1)
+    assert made.volume_mm3["rubber"] > 1.1 * plain.volume_mm3["rubber"]
+    assert (made.switches, made.castings) == (plain.switches, plain.castings)
+
+
 def test_rigid_plates_are_estimated_too(tmp_path: Path) -> None:
     case = design(layout={"columns": 3}, mold={"way": "rigid"})
     made = switches(case, tmp_path)

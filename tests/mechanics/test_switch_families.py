@@ -100,7 +100,7 @@ def test_design_meets_its_threshold_and_fits(made: CupDesign) -> None:
     assert abs(made.error) < 0.005
     assert cup.diameter_mm == SPACE.footprint_diameter_mm
     assert SPACE.wall_min_mm <= cup.side_mm
-    assert cup.web_mm > cup_design.RULES.gap - 1e-9
+    assert cup.web_mm > SPACE.core_min_mm - 1e-9
     assert TRAVEL_mm < made.stop_mm <= SPACE.stroke_mm
     assert np.all(np.diff(curve.force_N[curve.tip_mm <= made.stop_mm]) > 0.0)
     assert made.stop_N > made.limit_N

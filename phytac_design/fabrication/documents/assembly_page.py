@@ -12,17 +12,23 @@ from phytac_design.fabrication.switch_set import SwitchSet
 
 
 def switch_table(switches: SwitchSet) -> str:
-    """HTML table of the kinds of switches: label, threshold, length, count."""
+    """HTML table of the kinds of switches: label, family, threshold, length, count.
+
+    Bowls alone need no column that says so.
+    """
+    named = switches.body != "bowl"
     rows = [
         (
             switches.label(kind),
+            *([switches.family(kind[0])] if named else []),
             float(switches.threshold_N[kind[0]]),
             float(switches.lengths_mm[kind[1]]),
             len(switches.markers_of(kind)),
         )
         for kind in switches.kinds
     ]
-    return table(["switch", "threshold (N)", "length (mm)", "count"], rows)
+    family = ["family"] if named else []
+    return table(["switch", *family, "threshold (N)", "length (mm)", "count"], rows)
 
 
 def bill_table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -113,7 +119,8 @@ def assembly_html(
             "below each marker on the paint map."
         ),
         (
-            "Push the stem through from outside until the bowl's rim lies on the outer face; glue "
+            f"Push the stem through from outside until the {switches.body}'s rim lies on the outer "
+            "face; glue "
             "the rim with a thin ring of cyanoacrylate, none in the hole."
         ),
         (

@@ -50,7 +50,7 @@ def switch_parts(switches: SwitchSet) -> list[dict[str, Any]]:
             count=len(switches.markers_of(kind)),
             material="tpu",
             volume_mm3=revolved_volume_mm3(switches.profile(kind, profile_mm)),
-            note=f"{switches.threshold_N[kind[0]]:g} N, "
+            note=f"{family_words(switches, kind[0])}{switches.threshold_N[kind[0]]:g} N, "
             f"{switches.lengths_mm[kind[1]]:.1f} mm from outer face to tip; cast",
         )
         for kind in switches.kinds
@@ -60,6 +60,11 @@ def switch_parts(switches: SwitchSet) -> list[dict[str, Any]]:
         bought("marker pen, red", 1, "tips of the switches"),
         bought("cyanoacrylate (Loctite 406), 20 g", 1, "seats of the switches"),
     ]
+
+
+def family_words(switches: SwitchSet, number: int) -> str:
+    """Family of a switch and a comma, where not all are bowls."""
+    return "" if switches.body == "bowl" else f"{switches.family(number)}, "
 
 
 def optics_parts(design: Design, *, listed: bool) -> list[dict[str, Any]]:

@@ -58,7 +58,7 @@ def make_recipe(design: Design, switch_mm3: float, silicone_mm3: float) -> Recip
     )
 
 
-def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
+def recipe_steps(design: Design, recipe: Recipe, *, body: str = "bowl") -> list[str]:
     """Steps in order, with the amounts."""
     shrink = 100.0 * design.mold.shrink_rubber
     steps = []
@@ -91,7 +91,7 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
             "{volume}. Press the core plate on its keys until rubber stands in every stem's hole, "
             "scrape that side, then screw or weight the cap on."
         )
-        trim = " Open at the channel all around; pull off the thin sheet between the bowls."
+        trim = " Open at the channel all around; pull off the thin sheet between the {body}s."
     return [
         *steps,
         *_mixing(design, recipe),
@@ -100,11 +100,11 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
         (
             f"Demould; the rubber has shrunk by {shrink:.2g} %, which the mold allows for. Sort "
             "the switches by the label beside each cavity."
-            + trim.format(step=design.mold.vent_step_mm)
+            + trim.format(step=design.mold.vent_step_mm, body=body)
         ),
         "Paint the end of each stem red; let it dry.",
         (
-            "Glue each switch by the rim of its bowl with cyanoacrylate, the stem through its "
+            f"Glue each switch by the rim of its {body} with cyanoacrylate, the stem through its "
             "receptor, where switch_placement.csv and the paint map show."
         ),
     ]
@@ -144,8 +144,8 @@ def _mixing(design: Design, recipe: Recipe) -> list[str]:
     ]
 
 
-def recipe_text(design: Design, recipe: Recipe) -> str:
-    """Markdown page of the recipe."""
+def recipe_text(design: Design, recipe: Recipe, *, body: str = "bowl") -> str:
+    """Markdown page of the recipe for switches of a family, see ``SwitchSet.body``."""
     fine_g = 2.0  # below this a part must be weighed to 0.01 g: a tenth of a gram would be 5 %
     modulus_MPa = rubber_of(design).material.modulus_MPa
     parts = parts_g(design, recipe)
@@ -165,7 +165,10 @@ def recipe_text(design: Design, recipe: Recipe) -> str:
         "|---|---|",
         *(f"| {name} | {grams:.2f} |" for name, grams in rows),
         "",
-        *(f"{number}. {step}" for number, step in enumerate(recipe_steps(design, recipe), start=1)),
+        *(
+            f"{number}. {step}"
+            for number, step in enumerate(recipe_steps(design, recipe, body=body), start=1)
+        ),
         "",
         (
             "A multi-material print of shell/shell.3mf needs no paint on the receptors; the tips "
@@ -177,7 +180,8 @@ def recipe_text(design: Design, recipe: Recipe) -> str:
         else f"Rubber: {design.switch.material}; its ratios and times are its maker's.",
     ]
     lines.append(
-        f"The bowls are designed for a modulus of {modulus_MPa:.3g} MPa. This mix is not known to "
-        "give it: thresholds go in proportion. Cast a strip, pull it, and set switch.modulus_MPa."
+        f"The {body}s are designed for a modulus of {modulus_MPa:.3g} MPa. This mix is not known "
+        "to give it: thresholds go in proportion. Cast a strip, pull it, and set "
+        "switch.modulus_MPa."
     )
     return "\n".join(lines) + "\n"

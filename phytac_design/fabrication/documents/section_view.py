@@ -45,8 +45,8 @@ def section_svg(
     tip = [(-radius, deep - 1.0), (radius, deep - 1.0), (radius, deep), (-radius, deep)]
     fill(tip, INKS["red"])
     words = (
-        (-0.6 * top, f"switch {switches.label(kind)}, bowl outside"),
-        (0.5 * wall, "glue under the bowl's rim"),
+        (-0.6 * top, f"switch {switches.label(kind)}, {switches.family(kind[0])} outside"),
+        (0.5 * wall, f"glue under the {switches.family(kind[0])}'s rim"),
         (end - 0.5 * band, f"painted {colour}"),
         (end + 0.9, "red tip, towards the inside"),
     )

@@ -1,7 +1,7 @@
 """Parts, hand work and material of a sensor, from its design alone: no solid, no mesh.
 
 Counts are those of the bill of materials without the calibration kit and without consumables.
-Bowls are not solved: the molds are planned, and the rubber is estimated, with a nominal bowl.
+Switches are not solved: the molds are planned, and the rubber is estimated, with nominal ones.
 """
 
 from dataclasses import asdict, dataclass
@@ -20,7 +20,9 @@ from phytac_design.fabrication.switch_set import SwitchSet, make_switches
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.bowl import Bowl
+from phytac_design.mechanics.switch.cup_design import nominal_cup
 from phytac_design.mechanics.switch.switch_inputs import space_of
+from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_shapes.errors import DesignError
 
 PARTS = {
@@ -170,19 +172,33 @@ def effort_of(sensor: Sensor) -> Effort:
 
 
 def nominal_switches(sensor: Sensor) -> SwitchSet:
-    """Switches of a design with a bowl that is typical of its space, in place of a solved one.
+    """Switches of a design of a shape that is typical of its space, in place of a solved one.
 
     Raises
     ------
     DesignError
-        If no bowl fits.
+        If none fits.
     """
+    design, space = sensor.design, space_of(sensor.design)
+    family = design.switch.family
+    if family == "bowl":
+        shape: dict[str, Any] = {"bowl": vars(_nominal_bowl(space))}
+    else:
+        # The smallest spread mostly is a plunger's.
+        cup = nominal_cup("membrane" if family == "membrane" else "plunger", space)
+        shape = {"cup": vars(cup), "stem_diameter_mm": space.stem_diameter_mm}
+        shape["stop_mm"] = min(cup.height_mm, space.stroke_mm)
+    force = thresholds_N(design, sensor.markers)
+    made = [{"threshold_N": float(each)} | shape for each in np.unique(force)]
+    return make_switches(sensor, made, force)
+
+
+def _nominal_bowl(space: SwitchSpace) -> Bowl:
     # Of the solved bowls of the shipped designs: depth 1.11 to 1.18 strokes, wall 1.08 to 1.11
     # times the least.
     depth, wall, fillet = 1.15, 1.1, 1.0 / 6.0
-    design, space = sensor.design, space_of(sensor.design)
     thickness = wall * space.wall_min_mm
-    bowl = Bowl(
+    return Bowl(
         diameter_mm=space.diameter_mm,
         depth_mm=min(depth * space.stroke_mm, space.depth_max_mm - thickness),
         thickness_mm=thickness,
@@ -190,9 +206,6 @@ def nominal_switches(sensor: Sensor) -> SwitchSet:
         pad_diameter_mm=space.stem_diameter_mm,
         fillet_mm=fillet * space.stem_diameter_mm,
     )
-    force = thresholds_N(design, sensor.markers)
-    made = [{"threshold_N": float(each), "bowl": vars(bowl)} for each in np.unique(force)]
-    return make_switches(sensor, made, force)
 
 
 def _hardware(sensor: Sensor) -> HardwareAssembly:

@@ -21,15 +21,14 @@ from phytac_shapes.errors import DesignError, NumericalError
 class CupRules:
     """Sizes that the search takes or keeps; lengths in mm. Chosen here, none is measured."""
 
-    land: float = 0.2
-    """Width of the ring of a plunger's stem that lands on the shell around the hole: the stop."""
+    lands: tuple[float, ...] = (0.2, 0.15)
+    """Widths of the ring of a plunger's stem that lands on the shell around the hole: the stop.
+    The next is tried where nothing fits with the one before."""
     hub_land: float = 0.1
     """The same of a membrane's hub: a narrow one leaves more roof."""
     lean: float = 1.02
     """Slope of side walls over the mold's draft: the flats of its polygons lean less."""
-    gap: float = 0.4
-    """Least gap between stop and side wall of a plunger: the mold's core fills it."""
-    plunger_heights: tuple[float, ...] = (2.5, 2.75, 3.0, 3.25, 3.5)
+    plunger_heights: tuple[float, ...] = (2.5, 2.625, 2.75, 3.0, 3.25, 3.5)
     """Inner heights of plungers, in strokes."""
     plunger_roof: float = 0.8
     """Roof of a plunger; its side wall does the work."""
@@ -168,12 +167,16 @@ def design_cup(
     on = max(travel_mm, travel_max_mm or 0.0) + 1.5 * band.height_mm
     reasons: list[str] = []
     found: list[tuple[SoftCup, FamilySpread]] = []
-    for cup_of, most in _sections(family, space):
+    found_land = 0.0
+    for land, cup_of, most in _sections(family, space):
+        if found and land < found_land:
+            break
         try:
             cup = _solved(cup_of, most, threshold_N, rubber, space, travel_mm)
             curve = press_cup(cup, rubber.material, travel_mm=_longest_mm(cup, space))
             _check(curve, rubber, space, on)
             found.append((cup, cup_spread(cup, rubber, band, threshold_N, travel_mm)))
+            found_land = land
         except (UnsuitableCupError, NumericalError) as error:
             reasons.append(str(error))
         except DesignError as error:
@@ -207,6 +210,20 @@ def design_cup(
         "another rubber or family (phytac switch --family auto compares them), or raise the "
         "footprint",
     )
+
+
+def nominal_cup(family: CupFamily, space: SwitchSpace) -> SoftCup:
+    """Cup that is typical of a space, in place of a solved one.
+
+    Raises
+    ------
+    DesignError
+        If there is no room for one.
+    """
+    # Solved plungers have nine tenths of the thickest wall, membranes a third.
+    share = 0.9 if family == "plunger" else 0.35
+    _, cup_of, most = next(_sections(family, space))
+    return cup_of(max(share * most, space.wall_min_mm))
 
 
 def _rank(
@@ -266,33 +283,34 @@ def cup_spread(
 
 def _sections(
     family: CupFamily, space: SwitchSpace
-) -> Iterator[tuple[Callable[[float], SoftCup], float]]:
-    """Cups by the wall that sets their threshold, and that wall's largest value, mm."""
+) -> Iterator[tuple[float, Callable[[float], SoftCup], float]]:
+    """Width of the stop's ring, cups by the wall that sets their threshold, its largest value."""
     plunger = family == "plunger"
-    land = RULES.land if plunger else RULES.hub_land
-    hub = space.hole_diameter_mm + 2.0 * land
     sizes = {
         "family": family,
         "diameter_mm": space.diameter_mm,
-        "hub_diameter_mm": hub,
         "fillet_mm": RULES.plunger_fillet if plunger else RULES.membrane_fillet,
         "draft_deg": RULES.lean * space.draft_deg,
     }
     slope = float(np.tan(np.radians(RULES.lean * space.draft_deg)))
     if plunger:
-        for share in RULES.plunger_heights:
-            high = share * space.stroke_mm
+        for land, share in product(RULES.lands, RULES.plunger_heights):
+            hub, high = space.hole_diameter_mm + 2.0 * land, share * space.stroke_mm
             fixed = sizes | {"height_mm": high, "roof_mm": RULES.plunger_roof}
-            most = 0.5 * (space.diameter_mm - hub) - RULES.gap - high * slope
-            yield (lambda wall, fixed=fixed: SoftCup(side_mm=wall, **fixed)), most  # type: ignore[misc]
+            fixed["hub_diameter_mm"] = hub
+            most = 0.5 * (space.diameter_mm - hub) - space.core_min_mm - high * slope
+            yield land, (lambda wall, fixed=fixed: SoftCup(side_mm=wall, **fixed)), most  # type: ignore[misc]
     else:
+        land = RULES.hub_land
+        sizes["hub_diameter_mm"] = space.hole_diameter_mm + 2.0 * land
         for stop, side in product((space.stroke_mm, _stop_least_mm(space)), RULES.membrane_sides):
             fixed = sizes | {
                 "height_mm": stop,
                 "side_mm": side,
                 "boss_mm": RULES.membrane_boss * stop,
             }
-            yield (lambda wall, fixed=fixed: SoftCup(roof_mm=wall, **fixed)), RULES.roof_max  # type: ignore[misc]
+            roof_max = RULES.roof_max
+            yield land, (lambda wall, fixed=fixed: SoftCup(roof_mm=wall, **fixed)), roof_max  # type: ignore[misc]
 
 
 def _solved(

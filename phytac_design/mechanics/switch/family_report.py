@@ -1,12 +1,15 @@
 """The families of a switch as a table, as JSON, and the recommended one as a curve."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from phytac_design.mechanics.switch.cup_design import CupDesign
+from phytac_design.mechanics.switch.family_choice import ChosenSwitch
 from phytac_design.mechanics.switch.line_plot import line_plot
 from phytac_design.mechanics.switch.switch_families import FamilyCandidate
-from phytac_design.mechanics.switch.switch_report import curve_plot, switch_dict
+from phytac_design.mechanics.switch.switch_report import curve_plot, rubber_dict, switch_dict
 
 
 def candidate_dict(one: FamilyCandidate) -> dict[str, Any]:
@@ -54,6 +57,94 @@ def candidate_dict(one: FamilyCandidate) -> dict[str, Any]:
             },
         }
     }
+
+
+def chosen_dict(chosen: ChosenSwitch) -> dict[str, Any]:
+    """All facts of a chosen switch, JSON-ready; keys are those of a bowl where they mean the same.
+
+    Thresholds are those at the median receptor.
+    """
+    one = chosen.candidate
+    made, spread = one.design, one.spread
+    if made is None or spread is None:
+        raise ValueError("a chosen switch fits")
+    named = {
+        "family": one.family,
+        "choice": chosen.reason,
+        "tolerance": dict(vars(chosen.tolerance)),
+        "spread": dict(vars(spread)),
+    }
+    if not isinstance(made, CupDesign):
+        return switch_dict(made) | named
+    way = np.linspace(0.0, made.stop_mm, 61)
+    return named | {
+        "threshold_N": made.threshold_N,
+        "error": made.error,
+        "cup": dict(vars(made.cup)),
+        "stem_diameter_mm": made.space.stem_diameter_mm,
+        "rubber": rubber_dict(made.rubber),
+        "limit_N": made.limit_N,
+        "valley_N": made.limit_N,
+        "on_mm": made.travel_mm,
+        "stop_mm": made.stop_mm,
+        "stop_N": made.stop_N,
+        "visible_mm": made.visible_mm,
+        "strain": made.strain,
+        "buckling_mm": {str(mode): each for mode, each in made.buckling.items()},
+        "curve": {
+            "stroke_mm": way.round(5).tolist(),
+            "force_N": made.curve.force_at(way).round(6).tolist(),
+            "strain": [round(made.curve.at("strain", float(each)), 4) for each in way],
+        },
+        "warnings": [f"assumed: {made.rubber.assumption}", *_cup_warnings(made)],
+    }
+
+
+def chosen_plots(plain: Mapping[str, Any]) -> dict[str, str]:
+    """SVG of a chosen switch, by the end of its file's name: force over stroke, red over force.
+
+    Parameters
+    ----------
+    plain : mapping
+        As of :func:`chosen_dict`, with the red that the camera sees.
+    """
+    title = f"{plain['family'].capitalize()} for {plain['threshold_N']:g} N"
+    curve, red, rubber = plain["curve"], plain["red"], plain["rubber"]
+    if "cup" in plain:
+        marks = [(plain["on_mm"], plain["limit_N"], f"on at {plain['limit_N']:.3f} N")]
+    else:
+        marks = [
+            (plain[f"{name}_stroke_mm"], plain[f"{name}_N"], f"{name} {plain[f'{name}_N']:.3f} N")
+            for name in ("limit", "valley")
+        ]
+    name = f"{rubber['name']}, {rubber['modulus_MPa']:.3g} MPa"
+    seen = np.array([red["force_N"], red["red_px"]])
+    read = np.array([[0.0, red["force_N"][-1]], 2 * [red["threshold_px"]]])
+    return {
+        "": line_plot(
+            {name: (np.array(curve["stroke_mm"]), np.array(curve["force_N"]))},
+            title=title,
+            labels=("stroke (mm)", "force (N)"),
+            marks=marks,
+        ),
+        "_red": line_plot(
+            {"visible red of the median receptor": (seen[0], seen[1]), "read as on": (*read,)},
+            title=title,
+            labels=("force (N)", "red (px)"),
+        ),
+    }
+
+
+def _cup_warnings(made: CupDesign) -> list[str]:
+    """What to mind before casting a membrane or plunger."""
+    if not made.buckling:
+        return []
+    way = min(made.buckling.values())
+    text = (
+        f"beyond {way:.2f} mm of travel, {float(made.curve.force_at(way)):.2f} N, it may sway or "
+        "fold if the pressing body lets it slide"
+    )
+    return [text]
 
 
 def candidates_text(found: Sequence[FamilyCandidate], *, threshold_N: float) -> str:

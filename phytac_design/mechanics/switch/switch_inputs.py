@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from phytac_design.design.spec import Design
+from phytac_design.design.switch_table import BEST
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.switch.material_fit import TERMS, fit_uniaxial, read_test
-from phytac_design.mechanics.switch.rubbers import Rubber, rubber
+from phytac_design.mechanics.switch.rubbers import RUBBERS, Rubber, rubber
+from phytac_design.mechanics.switch.switch_families import FAMILIES, Family
 from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_shapes.errors import DesignError, InputError
 
@@ -47,12 +49,46 @@ def space_of(design: Design, *, wall_min_mm: float | None = None) -> SwitchSpace
         recess_mm=switch.tip_recess_mm,
         visible_mm=switch.stroke_mm - switch.tip_recess_mm,
         wall_min_mm=switch.wall_min_mm if wall_min_mm is None else wall_min_mm,
+        core_min_mm=design.print_rules.wall_min_mm,
         draft_deg=design.mold.draft_deg,
     )
 
 
+def families_of(design: Design) -> tuple[Family, ...]:
+    """Families that a design's switches may be of."""
+    family = design.switch.family
+    return FAMILIES if family == "best" else (family,)
+
+
+def rubbers_of(design: Design) -> list[Rubber]:
+    """Rubbers that a design's switches may be cast of.
+
+    Raises
+    ------
+    DesignError
+        If there is no data for the design's, or a modulus is given of none in particular.
+    """
+    if design.switch.material != BEST:
+        return [rubber_of(design)]
+    modulus = design.switch.modulus_MPa
+    if modulus:
+        raise DesignError(
+            "modulus-of-best",
+            f"the best of all rubbers has a modulus of its own (got switch.modulus_MPa = "
+            f"{modulus:g}); set it to 0, or name the rubber in switch.material",
+        )
+    return list(RUBBERS.values())
+
+
+def known_rubbers(design: Design) -> list[Rubber]:
+    """Rubbers that a design's switches may be cast of, then all others with data."""
+    own = rubbers_of(design)
+    named = {item.name for item in own}
+    return [*own, *(item for item in RUBBERS.values() if item.name not in named)]
+
+
 def rubber_of(design: Design) -> Rubber:
-    """Rubber of a design's switches.
+    """Rubber that a design names for its switches.
 
     Raises
     ------

@@ -4,23 +4,18 @@ from typing import Any
 
 from phytac_design.mechanics.switch.design import SwitchDesign
 from phytac_design.mechanics.switch.line_plot import line_plot
+from phytac_design.mechanics.switch.rubbers import Rubber
 
 
 def switch_dict(made: SwitchDesign) -> dict[str, Any]:
     """All facts of a switch, JSON-ready."""
     stroke, force, strain = made.curve.dense()
-    spread, law = made.spread, made.rubber.material
+    spread = made.spread
     return {
         "threshold_N": made.threshold_N,
         "error": made.error,
         "bowl": dict(vars(made.bowl)),
-        "rubber": {
-            "name": made.rubber.name,
-            "modulus_MPa": law.modulus_MPa,
-            "poisson": law.poisson,
-            "strain_max": made.rubber.strain_max,
-            "assumption": made.rubber.assumption,
-        },
+        "rubber": rubber_dict(made.rubber),
         **vars(made.snap),
         "visible_mm": made.visible_mm,
         "buckling_mm": {str(mode): way for mode, way in made.buckling.items()},
@@ -35,6 +30,17 @@ def switch_dict(made: SwitchDesign) -> dict[str, Any]:
             "strain": strain.round(4).tolist(),
         },
         "warnings": warnings(made),
+    }
+
+
+def rubber_dict(rubber: Rubber) -> dict[str, Any]:
+    """Facts of a rubber, JSON-ready."""
+    return {
+        "name": rubber.name,
+        "modulus_MPa": rubber.material.modulus_MPa,
+        "poisson": rubber.material.poisson,
+        "strain_max": rubber.strain_max,
+        "assumption": rubber.assumption,
     }
 
 

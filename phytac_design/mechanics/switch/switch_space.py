@@ -29,6 +29,8 @@ class SwitchSpace:
         Least length of red tip that must come out.
     wall_min_mm : float
         Thinnest wall that the mold casts.
+    core_min_mm : float
+        Thinnest free wall of the mold's core: the least gap between a plunger's stop and side wall.
     draft_deg : float
         Least slope of the bowl's wall against the mold's pull.
     release_margin : float
@@ -46,6 +48,7 @@ class SwitchSpace:
     recess_mm: float = 0.3
     visible_mm: float = 1.2
     wall_min_mm: float = 0.2
+    core_min_mm: float = 0.4
     draft_deg: float = 1.0
     release_margin: float = 0.1
     snap_min: float = 0.05

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.design.spec import Design
+from phytac_design.design.switch_table import BEST
 from phytac_design.study.advice.design_changes import SWITCHES, THRESHOLDS, Change
 from phytac_design.study.advice.design_variables import together, with_fields
 from phytac_design.study.advice.quick_repair import READABLE_SHARE, readable_switches
@@ -95,7 +96,13 @@ def threshold_changes(
 
 
 def _threshold_fields(design: Design, progress: Callable[[str], None]) -> Iterator[dict[str, Any]]:
-    """A rubber with data, the modulus for the threshold, then the rubber's nearest threshold."""
+    """A rubber with data, the modulus for the threshold, then the rubber's nearest threshold.
+
+    Of families that are compared, the best one of all rubbers.
+    """
+    if design.switch.family != "bowl":
+        yield {"switch.family": BEST, "switch.material": BEST, "switch.modulus_MPa": 0.0}
+        return
     threshold_N, found = design.switch.threshold_N, threshold_range(design, progress=progress)
     if found is None:
         return

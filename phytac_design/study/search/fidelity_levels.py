@@ -36,6 +36,7 @@ from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.optics.visibility import FRACTION_MIN, Visibility, best_of, check_visibility
 from phytac_design.rules.check import check_design
 from phytac_design.simulation.imaging.nominal_view import paint_slopes
+from phytac_design.simulation.switch_law import chosen_switches
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.surrogate import FORCE_N, predict
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -193,13 +194,16 @@ def exact(candidate: Candidate) -> Measures:
 
 
 def switch(candidate: Candidate) -> Measures:
-    """Bowls for the design's thresholds, solved; equal ones once in a process."""
+    """Switches for the design's thresholds, solved; equal bowls once in a process."""
     from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
     from phytac_design.mechanics.switch.switch_space import Tolerance
 
     design = candidate.design
     if not design.has_switches:
         return {"switch_force_error": 0.0}
+    if design.switch.family != "bowl":
+        made = chosen_switches(design)
+        return {"switch_force_error": max(abs(one["error"]) for one in made)}
     tolerance = Tolerance(
         thickness_mm=design.switch.wall_tolerance_mm, modulus=design.switch.modulus_tolerance
     )
