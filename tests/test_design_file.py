@@ -4,6 +4,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from phytac_design.design.base_table import descriptions
 from phytac_design.design.design_file import (
@@ -165,3 +166,33 @@ def test_explicit_positions_survive_the_resolved_file() -> None:
     design = parse_design({**MINIMAL, "layout": layout}, "explicit")
     assert parse_design(tomllib.loads(to_toml(design)), "resolved") == design
     assert design.layout.wanted == 2
+
+
+def test_old_names_of_the_colouring_are_read() -> None:
+    shape = {"kind": "cylinder", "diameter_outer_mm": 60.0, "length_mm": 120.0}
+    base = {"name": "old", "shape": shape}
+    plain = Design.model_validate(base)
+    for old, new in (("pens", "paint"), ("printed", "multi-material")):
+        read = Design.model_validate(base | {"effort": {"colouring": old, "glue_s": 1.0}})
+        assert read.receptor.colouring == new
+        assert read.effort.glue_s == 1.0
+        assert design_hash(read) == design_hash(plain)
+    # A whole file of then, changed now.
+    both = base | {"effort": {"colouring": "pens"}, "receptor": {"colouring": "insert"}}
+    assert Design.model_validate(both).receptor.colouring == "insert"
+    assert design_hash(Design.model_validate(both)) != design_hash(plain)
+    for wrong in (
+        {"effort": {"colouring": "printed"}, "receptor": {"colouring": "paint"}},
+        {"effort": {"colouring": "brush"}},
+    ):
+        with pytest.raises(ValidationError):
+            Design.model_validate(base | wrong)
+
+
+def test_fields_of_inserts_count_only_with_them() -> None:
+    def of(**receptor: object) -> str:
+        data = load_design("cylinder60").model_dump(mode="json")
+        return design_hash(Design.model_validate(data | {"receptor": receptor}))
+
+    assert of() == of(gap_insert_mm=0.3)
+    assert of(colouring="insert") != of(colouring="insert", gap_insert_mm=0.3)

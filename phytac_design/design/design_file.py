@@ -18,6 +18,7 @@ from phytac_design.design.toml_files import TomlFileKind
 from phytac_design.design.unit_hints import unit_hints
 from phytac_shapes.errors import DesignError, OutputError
 
+INSERT_FIELDS = ("gap_insert_mm", "ledge_insert_mm", "thickness_tube_mm")
 DESIGN_FILES = TomlFileKind(
     noun="design",
     folder="designs",
@@ -66,8 +67,8 @@ def design_hash(design: Design) -> str:
     """Hash of the resolved design, the same for the same fields in any order.
 
     Names of regions and the effort are left out: with others it is still the same sensor. So are
-    reference marks where there are none, paints that were not measured and the family of bowls:
-    designs from before they existed keep their hash.
+    reference marks where there are none, paints that were not measured, the family of bowls, and
+    inserts where there are none: designs from before they existed keep their hash.
     """
     unused: dict[str, Any] = {"regions": True, "effort": True}
     if not design.reference_marks.count:
@@ -76,6 +77,8 @@ def design_hash(design: Design) -> str:
         unused["paints"] = True
     if design.switch.family == "bowl":
         unused["switch"] = {"family"}
+    if not design.receptor.has_inserts:
+        unused["receptor"] = {"colouring", *INSERT_FIELDS}
     text = json.dumps(design.model_dump(mode="json", exclude=unused), sort_keys=True)
     return sha256(text.encode()).hexdigest()
 

@@ -1,7 +1,5 @@
 """The table ``[effort]`` of a design file: hand work and prices, not part of the sensor itself."""
 
-from typing import Literal
-
 from pydantic import Field
 
 from phytac_design.design.base_table import Section, assumed
@@ -13,9 +11,6 @@ class EffortSection(Section):
     Printers and curing rubber need no hands: their time is not counted.
     """
 
-    colouring: Literal["pens", "printed"] = assumed("pens")
-    """`pens`: each receptor's end is painted by hand; `printed`: the shell is printed in several
-    materials (shell/shell.3mf), so that none is."""
     print_s: float = assumed(900.0, ge=0.0, le=1e6)
     """A printed part: start the printer, take it off, wash it, cure it, remove its supports."""
     paint_s: float = assumed(20.0, ge=0.0, le=1e6)

@@ -9,7 +9,14 @@ from typing import Any
 
 from phytac_design.design.spec import Design
 
-RECEPTORS = ("bases", "tubes", "markers")
+TUBE = (
+    "receptor.colouring",
+    "receptor.diameter_outer_mm",
+    "receptor.gap_insert_mm",
+    "receptor.thickness_tube_mm",
+)
+"""What the outer diameter of tubes depends on."""
+RECEPTORS = ("bases", "tubes", "markers", "stiffness")
 PARTS: dict[str, tuple[str, ...]] = {
     "lens": (
         "camera.model",
@@ -68,7 +75,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     # The mechanical shell, besides the receptors' places and heights.
     "stiffness": (
         "wall.thickness_mm",
-        "receptor.diameter_outer_mm",
+        *TUBE,
         "receptor.diameter_hole_mm",
         "material",
     ),
@@ -104,20 +111,24 @@ def fields_of(design: Design, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def receptor_parts(design: Design, name: str) -> tuple[str, ...]:
-    """Parts and fields that a design's ``bases``, ``tubes`` or ``markers`` depend on.
+    """Parts and fields that a design's receptors or their stiffness (``RECEPTORS``) depend on.
 
-    Where the layout is scattered, or heights follow lines of sight, they depend on more.
+    Where the layout is scattered, or heights follow lines of sight, they depend on more; so does
+    the stiffness of tubes that end before the coloured band.
     """
     layout = design.layout
+    if name == "stiffness":
+        band = ("receptor.band_marker_mm",) if design.receptor.has_inserts else ()
+        return (*PARTS[name], *band)
     found = ["places"]
     if layout.kind in {"phyllotaxis", "explicit"}:
         # Scattered receptors and their switches keep clear of open edges.
-        found += ["receptor.diameter_outer_mm", "switch.footprint_diameter_mm"]
+        found += [*TUBE, "switch.footprint_diameter_mm"]
     if name in {"tubes", "markers"}:
         found.append("heights")
         if layout.heights == "line-of-sight" and not layout.position_heights_mm:
             # They clear the neighbours' lines of sight.
-            found += ["receptor.diameter_outer_mm", "receptor.band_marker_mm", "cameras"]
+            found += [*TUBE, "receptor.band_marker_mm", "cameras"]
     if name == "markers":
         found.append("colours")
     return tuple(found)

@@ -145,14 +145,62 @@ class LayoutSection(Section):
 class ReceptorSection(Section):
     """The printed tube that carries a marker."""
 
+    colouring: Literal["paint", "insert", "multi-material"] = "paint"
+    """How markers get their colour: `paint`: by pen, inside the shell; `insert`: coloured sleeves,
+    printed apart and pushed in from outside; `multi-material`: the shell is printed in colours."""
     diameter_outer_mm: float = assumed(3.0, gt=0.0, le=200.0)
-    """Outer diameter of the tube."""
+    """Outer diameter of the marker: of the tube, or of the insert, whose tube is wider."""
     diameter_hole_mm: float = assumed(1.6, ge=0.0, le=200.0)
     """Through-hole for the stem of the switch, from the outer face to the end face; 0 for solid
     posts without switches: contacts are then found by the markers' motion alone."""
     band_marker_mm: float = assumed(1.0, ge=0.0, le=200.0)
-    """Painted length of the tube's side below the end face; the end face is always painted."""
+    """Coloured length of the side below the end face; the end face is always coloured."""
+    gap_insert_mm: float = assumed(0.15, gt=0.0, le=10.0)
+    """For `insert`: free gap on each side between insert and tube; a printer's accuracy or more."""
+    ledge_insert_mm: float = assumed(0.25, gt=0.0, le=10.0)
+    """For `insert`: how far its head is wider than the tube's bore, on each side."""
+    thickness_tube_mm: float = assumed(0.4, gt=0.0, le=100.0)
+    """For `insert`: wall of the printed tube around it."""
     direction: Literal["normal", "axis", "tilted"] = assumed("normal")
     """Where tubes point: square to the wall, straight to the sensor's axis, or `tilted`."""
     tilt_deg: float = Field(0.0, gt=-60.0, lt=60.0)
     """For `tilted`: lean from the wall's normal towards the near end, where the camera is."""
+
+    @property
+    def has_inserts(self) -> bool:
+        """Whether markers are inserts in wider tubes."""
+        return self.colouring == "insert"
+
+    @property
+    def diameter_bore_mm(self) -> float:
+        """Diameter of the hole that is printed in the shell."""
+        if not self.has_inserts:
+            return self.diameter_hole_mm
+        return self.diameter_outer_mm + 2.0 * self.gap_insert_mm
+
+    @property
+    def diameter_tube_mm(self) -> float:
+        """Outer diameter of the tube that is printed with the shell."""
+        if not self.has_inserts:
+            return self.diameter_outer_mm
+        return self.diameter_bore_mm + 2.0 * self.thickness_tube_mm
+
+    @property
+    def diameter_head_mm(self) -> float:
+        """Diameter of an insert's head."""
+        return self.diameter_bore_mm + 2.0 * self.ledge_insert_mm
+
+    @property
+    def diameter_cover_mm(self) -> float:
+        """Diameter of what is open or glued in the outer face, which a switch's bowl covers."""
+        return self.diameter_seat_mm if self.has_inserts else self.diameter_hole_mm
+
+    @property
+    def diameter_seat_mm(self) -> float:
+        """Diameter of the seat's cone of 45 degrees on the outer face."""
+        return self.diameter_head_mm + 2.0 * self.gap_insert_mm
+
+    @property
+    def depth_seat_mm(self) -> float:
+        """From the outer face to where the seat's cone ends in the bore."""
+        return self.ledge_insert_mm + self.gap_insert_mm

@@ -331,6 +331,30 @@ class Design(Section):
     fixtures: tuple[AnyFixture, ...] = Field((), max_length=12)
     """Bodies that the camera sees and that can hide markers: `cylinder`, `box` or `mesh` (STL)."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _colouring_of_old_files(cls, data: Any) -> Any:
+        """Read `effort.colouring` of files from before `receptor.colouring`."""
+        effort = data.get("effort") if isinstance(data, dict) else None
+        if not isinstance(effort, dict) or "colouring" not in effort:
+            return data
+        names = {"pens": "paint", "printed": "multi-material"}
+        old = effort["colouring"]
+        if not isinstance(old, str) or old not in names:
+            return data  # refused as an unknown field
+        receptor = data.get("receptor", {})
+        if isinstance(receptor, dict):
+            new = receptor.get("colouring", names[old])
+            # Whole files of then, changed now, hold both: the old default says nothing.
+            if new != names[old] and old != "pens":
+                raise ValueError(
+                    f"effort.colouring = {old!r} is the old name of receptor.colouring = "
+                    f"{names[old]!r} (got {new!r} there); remove effort.colouring"
+                )
+            receptor = receptor | {"colouring": new}
+        rest = {key: value for key, value in effort.items() if key != "colouring"}
+        return data | {"effort": rest, "receptor": receptor}
+
     @model_validator(mode="after")
     def _switches_have_colour(self) -> Self:
         if self.dots and self.has_switches:

@@ -61,6 +61,7 @@ class _Outlines:
 
     def __init__(self, design: Design, markers: Markers, camera_mm: FloatArray) -> None:
         self.radius = design.receptor.diameter_outer_mm / 2.0
+        self.tube = design.receptor.diameter_tube_mm / 2.0
         self.band = design.receptor.band_marker_mm
         self.markers = markers
         self.camera = np.asarray(camera_mm, dtype=np.float64)
@@ -80,11 +81,14 @@ class _Outlines:
             np.cos(around)[:, None] * first[:, None] + np.sin(around)[:, None] * second[:, None]
         )
 
-    def _disc(self, ids: IntArray, depth: FloatArray) -> FloatArray:
-        """Support (m, h, D) of discs at depths (m, h) along the axes from the bases."""
+    def _disc(self, ids: IntArray, depth: FloatArray, wider: float = 1.0) -> FloatArray:
+        """Support (m, h, D) of discs at depths (m, h) along the axes from the bases.
+
+        They are ``wider`` times as wide as the markers.
+        """
         axis = self.markers.direction[ids]
         centre = self.markers.base_mm[ids][:, None] + depth[..., None] * axis[:, None]
-        points = centre[:, :, None] + self.ring[ids][:, None] - self.camera
+        points = centre[:, :, None] + wider * self.ring[ids][:, None] - self.camera
         ahead = self.sign * points[..., 2:]
         if float(ahead.min()) <= SETTINGS.depth_min_mm:
             raise DesignError(
@@ -98,7 +102,13 @@ class _Outlines:
     def tubes(self, ids: IntArray, height: FloatArray) -> FloatArray:
         """Support (m, D) of whole tubes of heights (m,)."""
         ends = np.stack([np.zeros_like(height), height], axis=1)
-        return np.asarray(self._disc(ids, ends).max(axis=1))
+        support = self._disc(ids, ends).max(axis=1)
+        if self.tube > self.radius:
+            # Around inserts, all but the coloured band is wider.
+            ends[:, 1] = np.maximum(height - self.band, 0.0)
+            wide = self._disc(ids, ends, self.tube / self.radius).max(axis=1)
+            support = np.maximum(support, wide)
+        return np.asarray(support)
 
     def paints(self, ids: IntArray, height: FloatArray) -> FloatArray:
         """Support (m, h, D) of painted parts at heights (m, h)."""

@@ -91,7 +91,7 @@ def _lattice_markers(design: Design, surface: Surface) -> Markers:
 def _inset_mm(design: Design) -> float:
     """How far markers keep from open edges: no tube and no switch reaches into a rim."""
     bowl = design.switch.footprint_diameter_mm if design.has_switches else 0.0
-    return max(design.receptor.diameter_outer_mm, bowl) / 2.0
+    return max(design.receptor.diameter_tube_mm, bowl) / 2.0
 
 
 def _scattered(design: Design, surface: Surface) -> Markers:

@@ -18,9 +18,16 @@ def smallest_receptor_gap_mm(
     """
     if markers.count < 2:
         return np.inf, None
-    diameter = design.receptor.diameter_outer_mm
+    diameter = design.receptor.diameter_tube_mm
     best, pair = min(nearest_pair(markers.tip_mm), nearest_pair(markers.base_mm))
     required = diameter + design.print_rules.gap_min_mm
+    if design.receptor.has_inserts:
+        pairs, _ = near_axes(markers, required)
+        if not len(pairs):
+            return best - diameter, pair
+        gap = pair_gaps_mm(design, markers, pairs)
+        at = _least(gap)
+        return float(gap[at]), (int(pairs[at, 0]), int(pairs[at, 1]))
     # Overlapping ends settle it; else tubes are apart at their ends and candidates are few.
     if best >= required:
         pairs, distance = near_axes(markers, required)
@@ -29,6 +36,28 @@ def smallest_receptor_gap_mm(
             if distance[at] < best:
                 best, pair = float(distance[at]), (int(pairs[at, 0]), int(pairs[at, 1]))
     return best - diameter, pair
+
+
+def pair_gaps_mm(design: Design, markers: Markers, pairs: IntArray) -> FloatArray:
+    """Gaps (k,) between receptors of pairs (k, 2); negative where they overlap.
+
+    Around inserts tubes are wider than the markers, up to the coloured band.
+    """
+    receptor = design.receptor
+    marker = receptor.diameter_outer_mm / 2.0
+    parts = [(markers.tip_mm, np.full(markers.count, marker))]
+    if receptor.has_inserts:
+        length = np.maximum(markers.height_mm - receptor.band_marker_mm, 0.0)
+        radius = np.where(length > 0.0, receptor.diameter_tube_mm / 2.0, marker)
+        parts.append((markers.base_mm + length[:, None] * markers.direction, radius))
+    first, second = pairs.T
+    base = markers.base_mm
+    gaps = [
+        segment_distance_mm(base[first], a[first], base[second], b[second]) - r[first] - s[second]
+        for a, r in parts
+        for b, s in parts
+    ]
+    return np.asarray(np.min(gaps, axis=0))
 
 
 def _least(values_mm: FloatArray) -> int:

@@ -36,7 +36,7 @@ class WallMotion:
         distance, index = cKDTree(anchors).query(points, k=count)
         # A receptor's foot belongs to the wall, which follows it up to the tube's outer edge and
         # half of the free width around it: cells of the wall have a size.
-        radius = sensor.design.receptor.diameter_outer_mm / 2.0
+        radius = sensor.design.receptor.diameter_tube_mm / 2.0
         free = cKDTree(fixed).query(sensor.markers.mid_mm)[0] - radius
         if sensor.markers.count > 1:
             nearest_mm = cKDTree(sensor.markers.mid_mm).query(sensor.markers.mid_mm, k=2)[0][:, 1]

@@ -189,7 +189,7 @@ def build_scene(
             for number, fixture in enumerate(design.fixtures)
         ),
     ]
-    sides = sides_of(design.receptor.diameter_outer_mm / 2.0, tolerance)
+    sides = sides_of(design.receptor.diameter_tube_mm / 2.0, tolerance)
     groups = [
         _receptors(design, markers, on, np.flatnonzero(sides == value), int(value))
         for value in np.unique(sides)
@@ -233,19 +233,22 @@ def _receptors(
     turn = 2.0 * np.pi * np.arange(sides) / sides
     around = np.cos(turn)[:, None] * across[:, None] + np.sin(turn)[:, None] * third[:, None]
     centre = tip[:, None] - depth[:, :, None] * axis[:, None]
-    vertices = centre[:, :, None] + radius[None, :, None, None] * around[:, None]  # (n, ring, side)
+    vertices = centre[:, :, None] + radius[:, :, None, None] * around[:, None]  # (n, ring, side)
     # Strips between two rings; the code is added to twice the marker id where it is a marker's.
     paint, red = FIRST_MARKER, FIRST_MARKER + 1
-    strips = [(0, 1, RESIN), (1, 2, paint), (2, 3, paint)]
+    foot = rings - 9  # 1 more ring where the tube is wider than the marker
+    strips = [(k, k + 1, RESIN) for k in range(foot + 1)]
+    strips += [(foot + 1, foot + 2, paint), (foot + 2, foot + 3, paint)]
     if design.has_switches:
-        strips += [(3, 4, RESIN), (4, 5, RESIN), (6, 7, red), (7, 8, red)]
+        inside = ((3, 4, RESIN), (4, 5, RESIN), (6, 7, red), (7, 8, red))
+        strips += [(foot + low, foot + high, value) for low, high, value in inside]
     here, step = np.arange(sides), (np.arange(sides) + 1) % sides
     faces, codes = [], []
     for low, high, value in strips:
         a, b = low * sides + here, low * sides + step
         c, d = high * sides + here, high * sides + step
         strip = [np.column_stack([a, b, c])]
-        if radius[high] > 0.0:
+        if radius[:, high].any():
             strip.append(np.column_stack([b, d, c]))
         faces.extend(strip)
         codes.append(np.full(sides * len(strip), value, dtype=np.int32))
@@ -263,11 +266,12 @@ def _receptors(
 def _profile(
     design: Design, height: FloatArray, on: BoolArray, slope: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Radius (9,) and depth behind the end face (n, 9) of the rings of a receptor, mm.
+    """Radius and depth behind the end face of the rings of receptors, (n, 9) mm each.
 
     The base is sunk by half the wall, and by the lift of one side of a receptor that leans from
     the normal (``slope``: tangent of the angle), so that no light passes under it. The red
-    side is one stroke and one recess long; the hole is closed behind it.
+    side is one stroke and one recess long; the hole is closed behind it. Of an insert a tube holds
+    all but the coloured band: there are 10 rings, and glue fills the gap between the two.
     """
     outer, hole = design.receptor.diameter_outer_mm / 2.0, design.receptor.diameter_hole_mm / 2.0
     tip = design.switch.tip_diameter_mm / 2.0
@@ -277,9 +281,14 @@ def _profile(
     front = switch.tip_recess_mm - np.where(on, switch.stroke_mm, 0.0)
     back = front + switch.stroke_mm + switch.tip_recess_mm
     face = np.zeros_like(height)
-    radius = np.array([outer, outer, outer, hole, hole, 0.0, tip, tip, 0.0])
-    depth = np.stack([base, band, face, face, back, back, back, front, front], axis=1)
-    return radius, depth
+    radii = [outer, outer, outer, hole, hole, 0.0, tip, tip, 0.0]
+    depths = [base, band, face, face, back, back, back, front, front]
+    if not design.receptor.has_inserts:
+        return np.tile(radii, (len(height), 1)), np.stack(depths, axis=1)
+    tube = np.where(height > band, design.receptor.diameter_tube_mm / 2.0, outer)
+    wide = base + (tube - outer) * slope
+    radius = np.column_stack([tube, tube, np.tile(radii[1:], (len(height), 1))])
+    return radius, np.stack([wide, band, *depths[1:]], axis=1)
 
 
 def fixture_mesh(fixture: AnyFixture, *, tolerance_mm: float) -> TriangleMesh:

@@ -55,7 +55,7 @@ def _check_receptors(design: Design, markers: Markers, mesh: TriangleMesh, name:
     """Refuse a fixture in a tube, or in the way of a red tip."""
     out = design.tip_travel_mm
     parts = (
-        ("receptor", markers.tip_mm, design.receptor.diameter_outer_mm / 2.0),
+        ("receptor", markers.tip_mm, design.receptor.diameter_tube_mm / 2.0),
         (
             "pushed-out red tip of receptor",
             markers.tip_mm + out * markers.direction,
@@ -176,7 +176,7 @@ def _check_tubes(design: Design, markers: Markers, centre: FloatArray, place: st
     along = np.sum(arm * markers.direction, axis=1)
     aside = np.linalg.norm(arm - along[:, None] * markers.direction, axis=1)
     out = design.tip_travel_mm
-    tube = (along <= markers.height_mm) & (aside <= design.receptor.diameter_outer_mm / 2.0)
+    tube = (along <= markers.height_mm) & (aside <= design.receptor.diameter_tube_mm / 2.0)
     red = (along <= markers.height_mm + out) & (aside <= design.switch.tip_diameter_mm / 2.0)
     hit = np.flatnonzero((along >= 0.0) & (tube | red))
     if hit.size:

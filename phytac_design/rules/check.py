@@ -13,6 +13,7 @@ from phytac_design.optics.separability import check_paints
 from phytac_design.optics.sharpness import sharpness
 from phytac_design.rules.body_rules import check_cameras, check_fixtures
 from phytac_design.rules.clearance import check_heights, check_reach, check_wall
+from phytac_design.rules.insert_rules import check_inserts
 from phytac_design.rules.receptor_spacing import check_ends, check_footprints, check_receptor_gaps
 from phytac_design.rules.sizes import (
     check_count,
@@ -55,6 +56,7 @@ RULES: dict[str, Rule] = {
     "reach": (check_reach, "heights"),
     "ends": (check_ends, "markers"),
     "gaps": (check_receptor_gaps, "heights tubes"),
+    "inserts": (check_inserts, "markers tubes switches"),
     "footprints": (check_footprints, "markers switches"),
     "roots": (root_depth_mm, "heights"),
     "training": (check_training, "markers"),

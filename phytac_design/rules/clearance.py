@@ -127,7 +127,7 @@ def _bar_clearances(sensor: Sensor) -> list[tuple[str, FloatArray, float]]:
         (
             "receptor",
             markers.tip_mm,
-            design.receptor.diameter_outer_mm / 2.0,
+            design.receptor.diameter_tube_mm / 2.0,
             bar + design.print_rules.gap_min_mm,
         ),
         ("pushed-out red", pushed, switch.tip_diameter_mm / 2.0, bar),

@@ -13,7 +13,7 @@ def check_ends(sensor: Sensor) -> None:
     """Check that tubes and switch footprints stay within the open edges of the surface."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     receptor, switch = design.receptor, design.switch
-    sizes = [("tube", "receptor.diameter_outer_mm", receptor.diameter_outer_mm / 2.0)]
+    sizes = [("tube", "receptor.diameter_outer_mm", receptor.diameter_tube_mm / 2.0)]
     if design.has_switches and design.wall.rim_length_mm > 0.0 and design.wall.rim_flange_mm > 0.0:
         # Only a rim that stands out meets the bowls on the outer face.
         foot = switch.footprint_diameter_mm / 2.0

@@ -65,9 +65,10 @@ def check_receptor_sizes(design: Design) -> None:
         )
     side = (outer - hole) / 2.0
     if side < rules.wall_min_mm - SLACK_mm:
+        what = "inserts' walls" if receptor.has_inserts else "receptors' tube walls"
         refuse(
             "tube-wall-too-thin",
-            f"the receptors' tube walls are too thin to print ({side:.2f} mm < "
+            f"the {what} are too thin to print ({side:.2f} mm < "
             f"{rules.wall_min_mm:g} mm); raise receptor.diameter_outer_mm to "
             f"{at_least(hole + 2.0 * rules.wall_min_mm)} or lower receptor.diameter_hole_mm",
         )

@@ -62,7 +62,7 @@ class DiscResponse:
         self.mesh, self.surface, self.model, self.orders = mesh, surface, model, orders
         self.holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
         self.kinematics = ReceptorKinematics(
-            mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0
+            mesh, surface, markers.uv, receptor.diameter_tube_mm / 2.0
         )
         self.shell = QuasiNewtonSolver(model)
         most = design.training.force_max_N

@@ -102,7 +102,7 @@ class Solver:
         self.count = unit.markers.count
         receptor = design.receptor
         self.kinematics = ReceptorKinematics(
-            self.mesh, surface, unit.markers.uv, receptor.diameter_outer_mm / 2.0
+            self.mesh, surface, unit.markers.uv, receptor.diameter_tube_mm / 2.0
         )
         self._holes = Holes.of(surface, unit.markers.uv, receptor.diameter_hole_mm / 2.0)
         self._shell = QuasiNewtonSolver(self.model)

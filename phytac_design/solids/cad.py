@@ -12,7 +12,7 @@ import numpy as np
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.cad_kernel import cadquery
 from phytac_design.solids.cad_wall import wall_cad
-from phytac_design.solids.receptor_tubes import receptor_axes
+from phytac_design.solids.receptor_tubes import ReceptorAxes, receptor_axes
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import CadKernelError, NumericalError, OutputError
 
@@ -27,8 +27,10 @@ class CadFacts:
     solids: int
 
 
-def shell_cad(sensor: Sensor) -> Any:
+def shell_cad(sensor: Sensor, *, glued: bool = False) -> Any:
     """Wall, rims, tubes and holes as one ``cadquery`` solid, mm.
+
+    ``glued`` adds the inserts, one piece with the shell; without inserts it changes nothing.
 
     Raises
     ------
@@ -42,11 +44,19 @@ def shell_cad(sensor: Sensor) -> Any:
     wall = wall_cad(surface, design.wall)
     axes = receptor_axes(sensor)
     receptor = design.receptor
-    tubes = _rods(cq, axes.root_mm, axes.tip_mm, receptor.diameter_outer_mm / 2.0)
-    shell = wall.fuse(*tubes)
-    if design.has_switches:
-        hole = receptor.diameter_hole_mm / 2.0
-        shell = shell.cut(*_rods(cq, axes.hole_start_mm, axes.hole_end_mm, hole))
+    radius, hole = receptor.diameter_outer_mm / 2.0, receptor.diameter_hole_mm / 2.0
+    if not receptor.has_inserts:
+        tubes, cutters = _rods(cq, axes.root_mm, axes.tip_mm, radius), []
+    else:
+        tall = ~axes.painted
+        wide = receptor.diameter_tube_mm / 2.0
+        tubes = _rods(cq, axes.root_mm[tall], axes.band_mm[tall], wide)
+        tubes += _rods(cq, axes.root_mm, axes.tip_mm, radius) if glued else []
+        cutters = [] if glued else _bores(cq, sensor, axes)
+    shell = wall.fuse(*tubes) if tubes else wall
+    if design.has_switches and not cutters:
+        cutters = _rods(cq, axes.hole_start_mm, axes.hole_end_mm, hole)
+    shell = shell.cut(*cutters) if cutters else shell
     solids = shell.Solids()
     if len(solids) != 1:
         raise CadKernelError(
@@ -65,6 +75,31 @@ def _rods(cq: Any, start_mm: FloatArray, end_mm: FloatArray, radius_mm: float) -
         cq.Solid.makeCylinder(radius_mm, h, cq.Vector(*p), cq.Vector(*d))
         for p, d, h in zip(start_mm.tolist(), axis.tolist(), length.tolist(), strict=True)
     ]
+
+
+def _bores(cq: Any, sensor: Sensor, axes: ReceptorAxes) -> list[Any]:
+    """Bores with the seats of inserts: cones of 45 degrees, straight beyond the outer face."""
+    receptor, outside = sensor.design.receptor, sensor.design.receptor.diameter_outer_mm / 2.0
+    wide, low = receptor.diameter_seat_mm / 2.0, receptor.diameter_bore_mm / 2.0
+    length = np.linalg.norm(axes.hole_end_mm - axes.outer_mm, axis=1).round(6)
+    shapes = {}
+    for end in np.unique(length).tolist():
+        profile = [
+            (0.0, -outside),
+            (wide, -outside),
+            (wide, 0.0),
+            (low, receptor.depth_seat_mm),
+            (low, end),
+            (0.0, end),
+        ]
+        shapes[end] = revolved_cad(np.array(profile))
+    places = [
+        cq.Location(cq.Plane(origin=tuple(point), normal=tuple(axis)))
+        for point, axis in zip(
+            axes.outer_mm.tolist(), sensor.markers.direction.tolist(), strict=True
+        )
+    ]
+    return [shapes[end].moved(place) for end, place in zip(length.tolist(), places, strict=True)]
 
 
 def cad_facts(shape: Any) -> CadFacts:

@@ -23,6 +23,8 @@ class ReceptorAxes:
         Centre of the end face.
     band_mm : (n, 3) float
         Where the painted band begins; the root if the whole tube is painted.
+    outer_mm : (n, 3) float
+        Where the axis meets the outer face.
     hole_start_mm, hole_end_mm : (n, 3) float
         Axis of the hole's cutter, from outside the outer face to beyond the end face.
     painted : (n,) bool
@@ -32,6 +34,7 @@ class ReceptorAxes:
     root_mm: FloatArray
     tip_mm: FloatArray
     band_mm: FloatArray
+    outer_mm: FloatArray
     hole_start_mm: FloatArray
     hole_end_mm: FloatArray
     painted: BoolArray
@@ -97,7 +100,7 @@ def root_depth_mm(sensor: Sensor) -> FloatArray:
         stays inside the wall.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    thickness, radius = design.wall.thickness_mm, design.receptor.diameter_outer_mm / 2.0
+    thickness, radius = design.wall.thickness_mm, design.receptor.diameter_tube_mm / 2.0
     outer = _outer_mm(sensor)
     high, low = rim_sag_mm(surface, markers, outer, radius)
     least, most = np.maximum(high, 0.0), thickness + np.minimum(low, 0.0)
@@ -108,7 +111,7 @@ def root_depth_mm(sensor: Sensor) -> FloatArray:
         raise DesignError(
             "receptor-exceeds-curvature",
             f"a receptor of {markers.place(worst)} does not fit the curved wall: under its "
-            f"{design.receptor.diameter_outer_mm:g} mm tube the surface falls by "
+            f"{design.receptor.diameter_tube_mm:g} mm tube the surface falls by "
             f"{high[worst]:.2f} mm in a wall of {thickness:g} mm; lower {lean}"
             "receptor.diameter_outer_mm or raise wall.thickness_mm",
         )
@@ -133,6 +136,7 @@ def receptor_axes(sensor: Sensor) -> ReceptorAxes:
         root_mm=root,
         tip_mm=markers.tip_mm,
         band_mm=np.where(painted[:, None], root, band),
+        outer_mm=outer,
         hole_start_mm=outside,
         hole_end_mm=markers.tip_mm + overshoot_mm * markers.direction,
         painted=painted,

@@ -6,7 +6,11 @@ Solids of the shell, all in one frame::
     resin  = (wall ∪ tubes without their painted bands) − holes
     paint  = (bands − wall) − holes, one body for each colour
 
-so that resin and paints tile the shell: the volumes add up, and nothing overlaps.
+so that resin and paints tile the shell: the volumes add up, and nothing overlaps. Inserts are
+printed apart: there the shell has wider and shorter tubes, and seats in its outer face::
+
+    shell  = (wall ∪ tubes up to the bands) − bores − seats
+    glued  = (wall ∪ tubes up to the bands ∪ inserts) − holes
 """
 
 from dataclasses import dataclass
@@ -14,7 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.geometry.triangles import TriangleMesh, prisms, proper_triangles, sides_for
+from phytac_design.geometry.triangles import (
+    TriangleMesh,
+    copies,
+    frames_along,
+    prisms,
+    proper_triangles,
+    sides_for,
+    widening,
+)
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.receptor_tubes import ReceptorAxes, receptor_axes
 from phytac_design.solids.wall_mesh import wall_mesh
@@ -35,11 +47,12 @@ class _Parts:
     holes: Any
     axes: ReceptorAxes
     radius_mm: float
-    sides: int
+    tolerance_mm: float
 
-    def rods(self, start_mm: FloatArray, end_mm: FloatArray) -> Any:
-        """Rods of the tube's outer diameter."""
-        return to_manifold(prisms(start_mm, end_mm, self.radius_mm, self.sides))
+    def rods(self, start_mm: FloatArray, end_mm: FloatArray, radius_mm: float | None = None) -> Any:
+        """Rods of the tube's outer diameter, or of another."""
+        radius = self.radius_mm if radius_mm is None else radius_mm
+        return to_manifold(prisms(start_mm, end_mm, radius, sides_for(radius, self.tolerance_mm)))
 
 
 def to_manifold(mesh: TriangleMesh) -> Any:
@@ -94,7 +107,7 @@ def _parts(sensor: Sensor, tolerance_mm: float) -> _Parts:
     design, surface = sensor.design, sensor.surface
     receptor = design.receptor
     axes = receptor_axes(sensor)
-    radius, hole = receptor.diameter_outer_mm / 2.0, receptor.diameter_hole_mm / 2.0
+    radius, hole = receptor.diameter_tube_mm / 2.0, receptor.diameter_hole_mm / 2.0
     cutters = TriangleMesh(vertices_mm=np.zeros((0, 3)), triangles=np.zeros((0, 3), dtype=np.int64))
     if design.has_switches:
         sides = sides_for(hole, tolerance_mm)
@@ -104,11 +117,13 @@ def _parts(sensor: Sensor, tolerance_mm: float) -> _Parts:
         holes=to_manifold(cutters),
         axes=axes,
         radius_mm=radius,
-        sides=sides_for(radius, tolerance_mm),
+        tolerance_mm=tolerance_mm,
     )
 
 
-def shell_manifold(sensor: Sensor, *, tolerance_mm: float = TOLERANCE_mm) -> Any:
+def shell_manifold(
+    sensor: Sensor, *, tolerance_mm: float = TOLERANCE_mm, glued: bool = False
+) -> Any:
     """Wall, rims, tubes and holes as one ``manifold3d.Manifold``, mm.
 
     Receptors must not meet each other (``phytac_design.rules.check_design`` sees to it): all
@@ -118,10 +133,38 @@ def shell_manifold(sensor: Sensor, *, tolerance_mm: float = TOLERANCE_mm) -> Any
     ----------
     tolerance_mm : float
         Largest distance between the mesh and the true faces.
+    glued : bool
+        With the inserts in place, one piece with the shell; without inserts this changes nothing.
     """
-    parts = _parts(sensor, tolerance_mm)
-    tubes = parts.rods(parts.axes.root_mm, parts.axes.tip_mm)
-    return ((parts.wall + tubes) - parts.holes).simplify(SLIVER_mm)
+    parts, receptor = _parts(sensor, tolerance_mm), sensor.design.receptor
+    axes = parts.axes
+    if not receptor.has_inserts:
+        tubes = parts.rods(axes.root_mm, axes.tip_mm)
+        return ((parts.wall + tubes) - parts.holes).simplify(SLIVER_mm)
+    body, tall = parts.wall, ~axes.painted
+    if tall.any():
+        body = body + parts.rods(axes.root_mm[tall], axes.band_mm[tall])
+    if glued:
+        inserts = parts.rods(axes.root_mm, axes.tip_mm, receptor.diameter_outer_mm / 2.0)
+        return ((body + inserts) - parts.holes).simplify(SLIVER_mm)
+    bores = parts.rods(axes.hole_start_mm, axes.hole_end_mm, receptor.diameter_bore_mm / 2.0)
+    return (body - bores - _seats(sensor, axes, tolerance_mm)).simplify(SLIVER_mm)
+
+
+def _seats(sensor: Sensor, axes: ReceptorAxes, tolerance_mm: float) -> Any:
+    """What the heads of inserts sit in: cones of 45 degrees, straight beyond the outer face."""
+    import manifold3d
+
+    receptor = sensor.design.receptor
+    wide, low = receptor.diameter_seat_mm / 2.0, receptor.diameter_bore_mm / 2.0
+    sides = sides_for(wide, tolerance_mm)
+    wide, low = wide * widening(sides), low * widening(sides)
+    cone = manifold3d.Manifold.cylinder(receptor.depth_seat_mm, wide, low, sides)
+    above = manifold3d.Manifold.cylinder(wide, wide, wide, sides).translate((0.0, 0.0, -wide))
+    seats = copies(
+        to_triangles(cone + above), axes.outer_mm, frames_along(sensor.markers.direction)
+    )
+    return to_manifold(seats)
 
 
 def painted_manifolds(sensor: Sensor, *, tolerance_mm: float = TOLERANCE_mm) -> dict[str, Any]:
@@ -129,11 +172,11 @@ def painted_manifolds(sensor: Sensor, *, tolerance_mm: float = TOLERANCE_mm) -> 
 
     A paint body is the last ``band_marker_mm`` of each tube of that colour, full tube wall and
     end face; a receptor not taller than the band is painted down to the wall. Without a band
-    (shorter than ``band_min_mm``) there is only resin.
+    (shorter than ``band_min_mm``), and where inserts hold the colours, there is only resin.
     """
     design, markers = sensor.design, sensor.markers
     band_min_mm = 1e-3  # a shorter painted band is no solid; its paint is left out
-    if design.receptor.band_marker_mm < band_min_mm:
+    if design.receptor.has_inserts or design.receptor.band_marker_mm < band_min_mm:
         return {"resin": shell_manifold(sensor, tolerance_mm=tolerance_mm)}
     parts = _parts(sensor, tolerance_mm)
     axes = parts.axes

@@ -15,7 +15,13 @@ from phytac_design.fabrication.hardware.by_cad import (
 from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
 from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
-from phytac_design.solids.cad import cad_facts, read_solid, write_assembly, write_step
+from phytac_design.solids.cad import (
+    cad_facts,
+    read_solid,
+    shell_cad,
+    write_assembly,
+    write_step,
+)
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.solid_mesh import to_triangles
 from phytac_design.stages.shell_stage import SHELL_SOLID, VOLUME_TOL
@@ -115,7 +121,9 @@ def _write_step(
     whole = shell.is_file()
     if whole:
         context.progress("hardware: STEP of the whole sensor")
-        sensor = sensor_bodies(context.sensor, switches_of(context), read_solid(shell))
+        inserts = design.receptor.has_inserts
+        solid = shell_cad(context.sensor, glued=True) if inserts else read_solid(shell)
+        sensor = sensor_bodies(context.sensor, switches_of(context), solid)
     else:
         why = context.facts("step")["step_left_out"]
         context.progress(f"hardware: the assembly holds the wall without receptors ({why})")

@@ -76,7 +76,7 @@ def large_motion(
     motion = QuasiNewtonSolver(model).solve(np.asarray(unit @ contacts.force_N).ravel()).motion
     if motion is None:
         return None
-    return ReceptorKinematics(mesh, surface, uv, receptor.diameter_outer_mm / 2.0).large(motion)
+    return ReceptorKinematics(mesh, surface, uv, receptor.diameter_tube_mm / 2.0).large(motion)
 
 
 def camera_scenes(context: Context) -> list[PressedScene]:

@@ -26,7 +26,7 @@ def run_shell(context: Context, folder: Path) -> None:
     tolerance = context.accuracy.cad_tolerance_mm
     solid = shell_manifold(context.sensor, tolerance_mm=tolerance)
     facts = shell_facts(
-        solid, context.surface, context.markers, holes=context.design.has_switches
+        solid, context.surface, context.markers, holes=design.receptor.diameter_bore_mm > 0.0
     ).as_dict()
     write_stl(to_triangles(solid), export_path(folder, "shell/shell.stl"))
     context.progress("shell: painted bodies")

@@ -95,7 +95,7 @@ def test_hours_are_seconds_times_parts() -> None:
 
 
 def test_what_is_printed_in_colour_is_not_painted() -> None:
-    painted, printed = effort(), effort(effort={"colouring": "printed"})
+    painted, printed = effort(), effort(receptor={"colouring": "multi-material"})
     assert (painted.receptor_ends, printed.receptor_ends) == (12, 0)
     assert painted.hours_total - printed.hours_total == pytest.approx(12 * 20.0 / 3600.0)
     assert "blue" in " ".join(painted.tools)

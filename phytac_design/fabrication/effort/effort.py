@@ -145,7 +145,7 @@ def effort_of(sensor: Sensor) -> Effort:
         "bought": sum(part.material in ("electronics", "light") for part in kit.parts)
         + sum(part["count"] for part in bought if part["material"] == "electronics"),
     }
-    ends = count if design.effort.colouring == "pens" else 0
+    ends = count if design.receptor.colouring == "paint" else 0
     volumes = {
         "shell": shell_volume_mm3(sensor),
         "molds": sum(one.printed_mm3 for one in molds),

@@ -118,7 +118,7 @@ def verdict(
         pairs=count * (count - 1) // 2,
         meets_mm3=meets(solids),
         sides=tuple(sides_of_joint(joint, meshes) for joint in kit.joints),
-        uncovered=sum(size <= design.receptor.diameter_hole_mm for size in bowl),
+        uncovered=sum(size <= design.receptor.diameter_cover_mm for size in bowl),
         leaks=leaks,
         rays=rays,
         hidden=hidden,

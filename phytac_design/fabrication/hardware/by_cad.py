@@ -127,7 +127,7 @@ def wall_body(design: Design, surface: Surface) -> CadBody:
 def sensor_bodies(sensor: Sensor, switches: SwitchSet, shell: Any) -> list[CadBody]:
     """Whole shell, and each switch in its receptor; switches of one kind share a shape.
 
-    ``shell`` is that of :func:`phytac_design.solids.cad.shell_cad`.
+    ``shell`` is that of :func:`phytac_design.solids.cad.shell_cad`, with its inserts.
     """
     surface, markers = sensor.surface, sensor.markers
     bodies = [CadBody(name=SHELL, shape=shell, colour=COLOURS["shell"])]

@@ -72,7 +72,8 @@ def sensor_solids(sensor: Sensor, switches: SwitchSet, *, tolerance_mm: float) -
     """Shell, and switches if there are any, as manifolds."""
     surface, markers = sensor.surface, sensor.markers
     shell_mm = 0.01  # accuracy of the shell under the bowls: less than the glue line
-    solids = {SHELL: shell_manifold(sensor, tolerance_mm=min(tolerance_mm, shell_mm))}
+    fine = min(tolerance_mm, shell_mm)
+    solids = {SHELL: shell_manifold(sensor, tolerance_mm=fine, glued=True)}
     if switches.kinds:
         solids[SWITCHES] = to_manifold(switch_mesh(surface, markers, switches))
     return solids
@@ -98,6 +99,6 @@ def exploded_bodies(
         part.name: (to_triangles(solids[part.name]), np.array(part.step_mm)) for part in kit.parts
     }
     if bodies:
-        shell = shell_manifold(sensor, tolerance_mm=tolerance_mm)
+        shell = shell_manifold(sensor, tolerance_mm=tolerance_mm, glued=True)
         bodies[SHELL] = (to_triangles(shell), np.zeros(3))
     return bodies

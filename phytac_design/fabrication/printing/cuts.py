@@ -93,7 +93,7 @@ def receptor_spans(
     design: Design, markers: Markers, normal: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Ends (n,) of each receptor along a direction, its hole through the wall included, mm."""
-    radius = design.receptor.diameter_outer_mm / 2.0
+    radius = design.receptor.diameter_tube_mm / 2.0
     outer = markers.base_mm - 2.0 * design.wall.thickness_mm * markers.direction
     slant = np.sqrt(np.clip(1.0 - (markers.direction @ normal) ** 2, 0.0, 1.0))
     ends = np.stack([outer @ normal, markers.tip_mm @ normal])

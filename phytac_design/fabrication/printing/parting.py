@@ -190,7 +190,7 @@ def _keys(sensor: Sensor, cut: CuttingPlane, cuts: list[CuttingPlane], size: Key
         foot = np.broadcast_to(markers.base_mm[k], point.shape)
         tip = np.broadcast_to(markers.tip_mm[k], point.shape)
         clear = np.minimum(clear, segment_distance_mm(low, high, foot, tip))
-    clear -= (size.boss + design.receptor.diameter_outer_mm) / 2.0
+    clear -= (size.boss + design.receptor.diameter_tube_mm) / 2.0
     # Keys of cuts that cross stand clear of each other at the corner.
     reach = size.boss / 2.0 + size.length
     for other in cuts:

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.printing.violations import Violation, violation
 from phytac_design.layout import Markers
-from phytac_design.layout.receptor_distances import near_axes
+from phytac_design.layout.receptor_distances import near_axes, pair_gaps_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.receptor_tubes import receptor_axes
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -18,11 +18,12 @@ SLACK_mm = 1e-6
 def check_receptors(design: Design, markers: Markers) -> list[Violation]:
     """Tubes that are too slender, too thin or too near to each other, and holes too small."""
     receptor, rules = design.receptor, design.print_rules
-    outer, hole = receptor.diameter_outer_mm, receptor.diameter_hole_mm
+    outer, hole = receptor.diameter_tube_mm, receptor.diameter_bore_mm
+    tall = markers.height_mm - (receptor.band_marker_mm if receptor.has_inserts else 0.0)
     middle = (markers.base_mm + markers.tip_mm) / 2.0
     found = []
-    for k in range(markers.count):
-        height = float(markers.height_mm[k])
+    for k in np.flatnonzero(tall > 0.0).tolist():
+        height = float(tall[k])
         checks = {
             "post": (
                 outer,
@@ -35,7 +36,7 @@ def check_receptors(design: Design, markers: Markers) -> list[Violation]:
                 "raise receptor.diameter_outer_mm or lower receptor.diameter_hole_mm",
             ),
         }
-        if design.has_switches:
+        if hole > 0.0:
             checks["hole"] = (hole, rules.hole_min_mm, "raise receptor.diameter_hole_mm")
         found += [
             violation(rule, middle[k], measured, least, fix, marker=k)
@@ -46,12 +47,12 @@ def check_receptors(design: Design, markers: Markers) -> list[Violation]:
 
 
 def _gaps(design: Design, markers: Markers) -> list[Violation]:
-    diameter, least = design.receptor.diameter_outer_mm, design.print_rules.gap_min_mm
+    diameter, least = design.receptor.diameter_tube_mm, design.print_rules.gap_min_mm
     if markers.count < 2:
         return []
-    pairs, distance = near_axes(markers, diameter + least)
+    pairs, _ = near_axes(markers, diameter + least)
     first, second = pairs.T
-    gap = distance - diameter
+    gap = pair_gaps_mm(design, markers, pairs)
     middle = (markers.tip_mm[first] + markers.tip_mm[second]) / 2.0
     fix = "to marker {}: lower receptor.diameter_outer_mm or the number of markers, or shorten them"
     return [
@@ -74,7 +75,7 @@ def owners(sensor: Sensor, points_mm: FloatArray) -> IntArray:
     owner = np.full(len(points_mm), -1, dtype=np.int64)
     if markers.count == 0 or len(points_mm) == 0:
         return owner
-    radius = design.receptor.diameter_outer_mm / 2.0
+    radius = design.receptor.diameter_tube_mm / 2.0
     try:
         start = receptor_axes(sensor).hole_start_mm
     except DesignError:

@@ -159,8 +159,13 @@ def mixture(share: FloatArray, effect: FloatArray, mixing: float) -> FloatArray:
     return np.where(denominator > 0.0, np.clip(factor, low, high), high)
 
 
-def tube_cover(mesh: ShellMesh, markers: Markers, radius_mm: float) -> tuple[FloatArray, IntArray]:
-    """How far each cell of each element is under a tube, 0 … 1, and its nearest marker, (E, q)."""
+def tube_cover(
+    mesh: ShellMesh, markers: Markers, radius_mm: FloatArray | float
+) -> tuple[FloatArray, IntArray]:
+    """How far each cell of each element is under a tube, 0 … 1, and its nearest marker, (E, q).
+
+    ``radius_mm`` is that of all tubes, or (n,) of each.
+    """
     from scipy.spatial import cKDTree
 
     cells = 8  # along each side of an element
@@ -175,8 +180,26 @@ def tube_cover(mesh: ShellMesh, markers: Markers, radius_mm: float) -> tuple[Flo
     )
     # The edge of a tube is smoothed over one cell.
     cell = np.sqrt(area / 2.0)[:, None] / cells
-    inside = np.clip((radius_mm - distance.reshape(shape)) / cell + 0.5, 0.0, 1.0)
+    radius = np.broadcast_to(radius_mm, markers.count)[owner].reshape(shape)
+    inside = np.clip((radius - distance.reshape(shape)) / cell + 0.5, 0.0, 1.0)
     return np.asarray(inside), np.asarray(owner.reshape(shape), dtype=np.int64)
+
+
+def tube_sizes_mm(design: Design, markers: Markers) -> tuple[FloatArray, FloatArray]:
+    """Outer diameter and height (n,) of the tubes that stiffen the wall.
+
+    An insert is glued in: its tube, which ends before the coloured band, counts as one piece with
+    it. Inserts no longer than the band have no tube and count by themselves.
+    """
+    receptor, height = design.receptor, markers.height_mm
+    outer = np.full(markers.count, receptor.diameter_outer_mm)
+    if not receptor.has_inserts:
+        return outer, height
+    tall = height > receptor.band_marker_mm
+    return (
+        np.where(tall, receptor.diameter_tube_mm, outer),
+        np.where(tall, height - receptor.band_marker_mm, height),
+    )
 
 
 def receptor_stiffness(design: Design, markers: Markers, mesh: ShellMesh) -> ReceptorStiffness:
@@ -197,12 +220,11 @@ def receptor_stiffness(design: Design, markers: Markers, mesh: ShellMesh) -> Rec
         If the receptors lie beyond the tables (:func:`receptor_effect`).
     """
     thickness, receptor = design.wall.thickness_mm, design.receptor
+    diameter, height = tube_sizes_mm(design, markers)
     membrane, bending = receptor_effect(
-        receptor.diameter_outer_mm / thickness,
-        receptor.diameter_hole_mm / receptor.diameter_outer_mm,
-        markers.height_mm / thickness,
+        diameter / thickness, receptor.diameter_hole_mm / diameter, height / thickness
     )
-    inside, owner = tube_cover(mesh, markers, receptor.diameter_outer_mm / 2.0)
+    inside, owner = tube_cover(mesh, markers, diameter / 2.0)
     total = inside.sum(axis=1)
 
     def mean(effect: FloatArray) -> FloatArray:
@@ -239,12 +261,9 @@ def mean_factors(design: Design, markers: Markers, area_mm2: float) -> tuple[flo
 def unknown_receptors(design: Design) -> str:
     """Why the stiffness of a design's receptors is not known; "" where it is."""
     thickness, receptor = design.wall.thickness_mm, design.receptor
+    diameter = np.array([receptor.diameter_outer_mm, receptor.diameter_tube_mm])
     try:
-        receptor_effect(
-            receptor.diameter_outer_mm / thickness,
-            receptor.diameter_hole_mm / receptor.diameter_outer_mm,
-            0.0,
-        )
+        receptor_effect(diameter / thickness, receptor.diameter_hole_mm / diameter, 0.0)
     except DesignError as error:
         return str(error)
     return ""

@@ -216,7 +216,9 @@ def solid_mesh(
     sizes = default_sizes(design) if sizes is None else sizes
     bare = design.model_copy(update={"wall": design.wall.model_copy(update={"rim_length_mm": 0.0})})
     wall = (
-        shell_cad(Sensor.of(bare, surface, markers)) if receptors else wall_cad(surface, bare.wall)
+        shell_cad(Sensor.of(bare, surface, markers), glued=True)
+        if receptors
+        else wall_cad(surface, bare.wall)
     )
     centres = np.zeros((0, 3)) if contacts_uv is None else surface.point(contacts_uv)
     with TemporaryDirectory() as folder:
@@ -257,7 +259,7 @@ def _size_fields(
         near = field.add("Distance")
         field.setNumbers(near, "CurvesList", bases)
         field.setNumber(near, "Sampling", 24)
-        reach = SETTINGS.base_reach_radii * design.receptor.diameter_outer_mm / 2.0
+        reach = SETTINGS.base_reach_radii * design.receptor.diameter_tube_mm / 2.0
         tags.append(field.add("Threshold"))
         for name, number in (
             ("InField", near),
@@ -285,7 +287,7 @@ def tube_parts(gmsh: Any, surface: Surface, design: Design) -> tuple[list[int], 
         ]
         for dim in (1, 2)
     }
-    widest = 1.5 * design.receptor.diameter_outer_mm
+    widest = 1.5 * design.receptor.diameter_tube_mm
     bases = [tag for tag, box in boxes[1] if np.ptp(box.reshape(2, 3), axis=0).max() < widest]
     depth = []
     for tag, _ in boxes[2]:

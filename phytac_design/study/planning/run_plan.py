@@ -134,7 +134,7 @@ def reference_presses(
     mesh, model = truth_model(context)
     receptor = design.receptor
     holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
-    kinematics = ReceptorKinematics(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
+    kinematics = ReceptorKinematics(mesh, surface, markers.uv, receptor.diameter_tube_mm / 2.0)
     shell, vision = QuasiNewtonSolver(model), image_response_of(context)
     unit = indentation_loads(mesh, surface, contacts, holes=holes).toarray()
     shift = np.full((len(uv), markers.count, 2), np.nan)

@@ -106,7 +106,7 @@ class ForceError:
 
     def kinematics(self, mesh: ShellMesh) -> ReceptorKinematics:
         """Motion of the receptors on a mesh."""
-        radius = self.design.receptor.diameter_outer_mm / 2.0
+        radius = self.design.receptor.diameter_tube_mm / 2.0
         return ReceptorKinematics(mesh, self.sensor.surface, self.sensor.markers.uv, radius)
 
     def loads(self, mesh: ShellMesh) -> FloatArray:
