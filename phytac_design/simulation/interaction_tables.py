@@ -15,11 +15,12 @@ Martinsson and Tropp 2011 find a range so). Along an axis g ::
 axis, and pairs only products.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from phytac_decoder.mechanics.interaction_table import InteractionTable
 from phytac_decoder.mechanics.response_table import ResponseTable
@@ -47,6 +48,8 @@ class InteractionSettings:
     """Loads solved together."""
     elements_max: int = 40000
     """Shells of more have no such tables: time and memory grow with both."""
+    elements_kept: int = 6000
+    """Shells of more get third derivatives twice: they take 80 kB an element."""
     axes_max: int = 64
     """Of the images, at most."""
     difference_step: float = 1e-2
@@ -59,6 +62,47 @@ SETTINGS = InteractionSettings()
 def pair_spacing_mm(area_mm2: float, radius_mm: float) -> float:
     """Distance of the places of a table over so much surface."""
     return max(SETTINGS.spacing_share * radius_mm, float(np.sqrt(area_mm2 / SETTINGS.places_max)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """Some of a shell's elements, and their motions under a newton at each of p places.
+
+    Attributes
+    ----------
+    elements : slice
+        Which.
+    third : (e, 24, 24, 24) float32
+        See :func:`cubic_stiffness`.
+    dofs : (d,) int
+        DOFs of their nodes.
+    gather : (d, 24 e) float32, sparse
+        Sums values at elements to those at nodes.
+    motion, own : (d, p), (e, 24, p) float32
+        Motions at nodes, and at elements.
+    """
+
+    elements: slice
+    third: NDArray[np.float32]
+    dofs: IntArray
+    gather: csr_array
+    motion: NDArray[np.float32]
+    own: NDArray[np.float32]
+
+    @classmethod
+    def of(
+        cls, elements: slice, third: NDArray[np.float32], each: IntArray, motion: FloatArray
+    ) -> "_Part":
+        """Part by the DOFs (e, 24) of its elements and the motions (6N, p) of the shell."""
+        dofs, place = np.unique(each, return_inverse=True)
+        place = place.ravel()
+        ones = np.ones(len(place), dtype=np.float32)
+        gather = csr_array((ones, (place, np.arange(len(place)))), shape=(len(dofs), len(place)))
+        at_nodes = motion[dofs].astype(np.float32)
+        own = at_nodes[place].reshape(*each.shape, -1)
+        return cls(
+            elements=elements, third=third, dofs=dofs, gather=gather, motion=at_nodes, own=own
+        )
 
 
 class InteractionSolver:
@@ -88,6 +132,16 @@ class InteractionSolver:
         quads = shell.model.quads
         # DOFs (E, 24) of the elements.
         self.dofs = (6 * quads[:, :, None] + np.arange(6)).reshape(len(quads), DOFS)
+        few = len(quads) <= SETTINGS.elements_kept
+        self._kept = list(self._make_parts()) if few else None
+
+    def parts(self) -> Iterable[_Part]:
+        """All elements, part by part."""
+        return self._make_parts() if self._kept is None else self._kept
+
+    def _make_parts(self) -> Iterator[_Part]:
+        for elements, third in cubic_stiffness(self.shell.model):
+            yield _Part.of(elements, third, self.dofs[elements], self.motion)
 
     def pairs(self, progress: Callable[[str], None] = lambda _: None) -> InteractionTable:
         """Tables of all pairs of the places."""
@@ -121,12 +175,14 @@ class InteractionSolver:
     def images(self, pairs: IntArray) -> FloatArray:
         """M (k, 2n) px/N² of pairs of places (k, 2), each solved for itself."""
         push = np.zeros((len(pairs), len(self.motion)))
-        for some, third in cubic_stiffness(self.shell.model):
-            own = self.motion[self.dofs[some]].astype(np.float32)
-            for k, (i, j) in enumerate(pairs):
-                by_one = third @ own[:, None, :, i, None]
-                force = by_one[..., 0] @ own[:, :, j, None]
-                np.add.at(push[k], self.dofs[some].ravel(), -force.ravel())
+        for part in self.parts():
+            flat = part.third.reshape(-1, DOFS * DOFS, DOFS)
+            for first in range(0, len(pairs), SETTINGS.batch):
+                some = slice(first, first + SETTINGS.batch)
+                one, other = part.own[:, :, pairs[some, 0]], part.own[:, :, pairs[some, 1]]
+                by_one = (flat @ one).reshape(-1, DOFS, DOFS, one.shape[2])
+                force = np.einsum("eabk,ebk->eak", by_one, other)
+                push[some, part.dofs] -= (part.gather @ force.reshape(len(part.own) * DOFS, -1)).T
         push[:, self.held] = 0.0
         out = []
         for first in range(0, len(pairs), SETTINGS.batch):
@@ -149,14 +205,13 @@ class InteractionSolver:
         stirred = self.shell.model.solve(push).motion.reshape(push.shape)
         count = self.motion.shape[1]
         terms = np.zeros((len(axes), count, count), dtype=np.float32)
-        for some, third in cubic_stiffness(self.shell.model):
-            own = self.motion[self.dofs[some]].astype(np.float32)
-            z = stirred[self.dofs[some]].astype(np.float32)
-            flat = own.reshape(-1, count)
-            along = (third.reshape(len(third), -1, DOFS) @ z).transpose(2, 0, 1)
+        for part in self.parts():
+            z = stirred[self.dofs[part.elements]].astype(np.float32)
+            along = (part.third.reshape(len(z), -1, DOFS) @ z).transpose(2, 0, 1)
             for number, matrix in enumerate(along):
-                pulls = matrix.reshape(-1, DOFS, DOFS) @ own
-                terms[number] -= flat.T @ pulls.reshape(-1, count)
+                pulls = matrix.reshape(-1, DOFS, DOFS) @ part.own
+                # Sums at nodes first: the product over them is a quarter of that over elements.
+                terms[number] -= part.motion.T @ (part.gather @ pulls.reshape(-1, count))
         receptors = self.receptors.reshape(count, -1)
         for number, axis in enumerate(axes):
             bend = np.einsum("ni,nijk->njk", axis.reshape(-1, 2), self.bend)
