@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh, distinct_points
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 PAIRS_MAX = 2_000_000
@@ -191,8 +191,8 @@ def within(points_mm: FloatArray, mesh: TriangleMesh) -> BoolArray:
 def _closed(mesh: TriangleMesh) -> bool:
     """Whether every edge, between places and not corners' numbers, has an even number of sides."""
     # Adding 0 makes -0 the same place as 0.
-    _, same = np.unique(mesh.vertices_mm + 0.0, axis=0, return_inverse=True)
-    corners = same.reshape(-1)[mesh.triangles]
+    _, same = distinct_points(mesh.vertices_mm + 0.0)
+    corners = same[mesh.triangles]
     edges = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, number = np.unique(edges[edges[:, 0] < edges[:, 1]], axis=0, return_counts=True)
     return bool((number % 2 == 0).all())

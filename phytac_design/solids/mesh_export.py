@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.geometry.triangles import TriangleMesh, proper_triangles
+from phytac_design.geometry.triangles import TriangleMesh, distinct_points, proper_triangles
 from phytac_shapes.errors import OutputError
 
 STL_HEADER = b"PhyTac Design, binary STL, units mm".ljust(80)
@@ -57,8 +57,8 @@ def read_stl(path: Path) -> TriangleMesh:
         )
     corners = np.frombuffer(data, STL_RECORD, offset=84)["corners"].reshape(-1, 3)
     # Single precision repeats the same corner bit by bit; -0 and 0 are one.
-    vertices, ids = np.unique(corners + np.float32(0.0), axis=0, return_inverse=True)
-    triangles = proper_triangles(ids.reshape(-1, 3).astype(np.int64))
+    vertices, ids = distinct_points(corners + np.float32(0.0))
+    triangles = proper_triangles(ids.reshape(-1, 3))
     return TriangleMesh(vertices_mm=vertices.astype(np.float64), triangles=triangles)
 
 

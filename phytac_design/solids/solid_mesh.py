@@ -21,6 +21,7 @@ import numpy as np
 from phytac_design.geometry.triangles import (
     TriangleMesh,
     copies,
+    distinct_points,
     frames_along,
     prisms,
     proper_triangles,
@@ -97,8 +98,8 @@ def stl_triangles(solid: Any, *, step_mm: float = 1e-5) -> TriangleMesh:
     """
     mesh = to_triangles(solid)
     rounded = (step_mm * np.round(mesh.vertices_mm / step_mm)).astype(np.float32) + np.float32(0.0)
-    points, ids = np.unique(rounded, axis=0, return_inverse=True)
-    triangles = proper_triangles(ids.reshape(-1)[mesh.triangles])
+    points, ids = distinct_points(rounded)
+    triangles = proper_triangles(ids[mesh.triangles])
     rounded_mesh = TriangleMesh(vertices_mm=points.astype(np.float64), triangles=triangles)
     return to_triangles(to_manifold(rounded_mesh).simplify(step_mm))
 
