@@ -15,7 +15,7 @@ from phytac_design.optics.frame_renderer import SAMPLES
 from phytac_design.simulation.contacts import Switching
 from phytac_design.simulation.force_errors import score_contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
-from phytac_design.stages.renders_stage import frame_contacts, noisy, rendered
+from phytac_design.stages.renders_stage import frame_contacts, noisy, rendered, rendered_example
 from phytac_design.stages.views_stage import write_image
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
@@ -53,7 +53,9 @@ def decode_all(context: Context, folder: Path, switching: Switching) -> DecodedF
     except InputError as error:  # only a forced build of markers that cannot be seen gets here
         tally.rejected.append(str(error))
     truth = switching.receptor_force_N[example]
-    write_frames(folder, "frame_pressed", noisy(context, rendered(context, "example"), example))
+    write_frames(
+        folder, "frame_pressed", noisy(context, rendered_example(context, example), example)
+    )
     export_path(folder, "views/frame_pressed.json").write_text(
         json.dumps({str(i): round(float(truth[i]), 4) for i in np.flatnonzero(truth)})
     )

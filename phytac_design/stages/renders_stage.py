@@ -116,13 +116,14 @@ def noisy(
 
 
 def run(context: Context, folder: Path) -> None:
-    """Write each sample's frame of each camera, the unloaded sensor's and the example's."""
+    """Write each sample's frame of each camera, the unloaded sensor's, the example's if other."""
     pressed, scenes = draw_frame_contacts(context), camera_scenes(context)
     jobs: list[tuple[str, int | None, FloatArray | None]] = [
         ("rest", None, None),
-        ("example", pressed.switching.example, pressed.shown),
         *((str(index), index, None) for index in range(len(pressed.motion))),
     ]
+    if pressed.shown is not None:  # else it is the sample's own frame
+        jobs.append(("example", pressed.switching.example, pressed.shown))
     for number, (name, index, motion) in enumerate(jobs, start=1):
         context.progress(f"renders: {number} of {len(jobs)}")
         for camera, frame in enumerate(render_sample(context, scenes, pressed, index, motion)):
@@ -131,9 +132,14 @@ def run(context: Context, folder: Path) -> None:
 
 
 def rendered(context: Context, name: str) -> tuple[ImageArray, ...]:
-    """Frames that the stage has rendered: ``rest``, ``example``, or of a sample by its number."""
+    """Frames that the stage has rendered: ``rest``, or of a sample by its number."""
     files = sorted(context.folders["renders"].glob(f"{name}_*.png"))
     return tuple(read_image(path) for path in files)
+
+
+def rendered_example(context: Context, index: int) -> tuple[ImageArray, ...]:
+    """Frames of the example, sample ``index``, as the sensor would show it."""
+    return rendered(context, "example") or rendered(context, str(index))
 
 
 RENDERS = Stage(
