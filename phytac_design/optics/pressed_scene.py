@@ -65,6 +65,20 @@ class WallMotion:
         return replace(scene, vertices=vertices)
 
 
+def with_tips(rest: RenderScene, on: RenderScene, out: BoolArray | FloatArray) -> RenderScene:
+    """Scene of tips that are out, (n,) bool, or by a share of the stroke, (n,) float.
+
+    Parameters
+    ----------
+    rest, on : RenderScene
+        The same scene with all tips in, and out.
+    """
+    share = np.append(out, 0)[rest.vertex_owner][:, None]  # the last is of owner -1
+    if out.dtype == np.bool_:
+        return replace(rest, vertices=np.where(share, on.vertices, rest.vertices))
+    return replace(rest, vertices=rest.vertices + share * (on.vertices - rest.vertices))
+
+
 class PressedScene:
     """Scenes of one sensor before one camera, in any pose and with any switches on.
 
@@ -102,7 +116,7 @@ class PressedScene:
         self.pivots_mm = sensor.markers.mid_mm
 
     def scene(
-        self, motion: FloatArray, switch_on: BoolArray, *, wall_follows: bool = True
+        self, motion: FloatArray, out: BoolArray | FloatArray, *, wall_follows: bool = True
     ) -> RenderScene:
         """Return the scene of one pose.
 
@@ -112,14 +126,12 @@ class PressedScene:
         ----------
         motion : (n, 6) float
             Translation (mm) and rotation vector (rad) of the wall under each marker.
-        switch_on : (n,) bool
-            Switches whose tip is out.
+        out : (n,) bool or float
+            Tips that are out, or how far each is, as a share of the stroke.
         wall_follows : bool
             Whether the wall between the receptors moves with them.
         """
-        out = np.append(switch_on, False)[self.rest.vertex_owner]  # the last is of owner -1
-        vertices = np.where(out[:, None], self.on.vertices, self.rest.vertices)
-        scene = replace(self.rest, vertices=vertices)
+        scene = with_tips(self.rest, self.on, out)
         if wall_follows:
             scene = self.wall.moved(scene, motion)
         return scene.moved(motion[:, :3], motion[:, 3:], self.pivots_mm)

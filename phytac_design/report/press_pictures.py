@@ -101,7 +101,8 @@ def press_pictures(
         force_N=force,
         samples=steps,
     )
-    bits = switch_states(context.sensor, contacts).bits
+    switching = switch_states(context.sensor, contacts)
+    shown = switching.shown
     views = {
         "whole": window(camera, np.zeros(2), camera.width_px, width_px),
         "close": close_to(camera, markers.tip_mm[marker], width_px),
@@ -110,11 +111,11 @@ def press_pictures(
     for name, view in views.items():
         scenes = PressedScene(context.sensor, view)
         pictures[name] = [
-            _jpeg(render_frame(scenes.scene(share[step] * motion, bits[step]), view, samples=4))
+            _jpeg(render_frame(scenes.scene(share[step] * motion, shown[step]), view, samples=4))
             for step in range(steps)
         ]
     return PressPictures(
-        force_N=force, on=bits.sum(axis=1), marker=marker, camera=number, **pictures
+        force_N=force, on=switching.bits.sum(axis=1), marker=marker, camera=number, **pictures
     )
 
 

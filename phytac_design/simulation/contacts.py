@@ -10,9 +10,9 @@ from phytac_design.datasets.samples import TouchRows
 from phytac_design.layout import Markers
 from phytac_design.layout.arc import by_area
 from phytac_design.layout.sensor import Sensor
-from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.indenter import Indentations
 from phytac_design.mechanics.shell.footprints import footprint_shares
+from phytac_design.simulation.switch_law import switch_law
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
@@ -102,12 +102,20 @@ class Switching:
         proportion to their footprint forces, so that they sum to the contact's force.
     tripped : (c,) bool
         Contacts that tripped at least one switch.
+    out : (samples, n) float, optional
+        How far tips are out, as shares of the stroke, where some come out gradually.
     """
 
     bits: BoolArray
     owner: IntArray
     receptor_force_N: FloatArray
     tripped: BoolArray
+    out: FloatArray | None = None
+
+    @property
+    def shown(self) -> BoolArray | FloatArray:
+        """Tips (samples, n) that are out, or how far each is."""
+        return self.bits if self.out is None else self.out
 
     @property
     def example(self) -> int:
@@ -242,7 +250,10 @@ def switch_states(sensor: Sensor, contacts: Contacts) -> Switching:
     share = footprint_shares(surface, contacts, markers.uv, radius)
     total = np.zeros((contacts.samples, markers.count))
     np.add.at(total, contacts.sample, share * contacts.force_N[:, None])
-    return assign_forces(contacts, share, total > thresholds_N(design, markers))
+    law = switch_law(design, markers)
+    state = total > law.on_N
+    out = law.out_share(total, state, law.on_N) if law.gradual.any() else None
+    return replace(assign_forces(contacts, share, state), out=out)
 
 
 def assign_forces(contacts: Contacts, share: FloatArray, bits: BoolArray) -> Switching:

@@ -48,7 +48,9 @@ class Dataset:
     def arrays(self, name: str) -> dict[str, Any]:
         """Arrays for a stage, keys ``name.field``."""
         held = vars(self.contacts) | vars(self.switching) | {"shift_px": self.shift_px}
-        return {f"{name}.{key}": value for key, value in held.items() if key != "samples"}
+        # How far tips are out shows in pictures alone.
+        left = {"samples", "out"}
+        return {f"{name}.{key}": value for key, value in held.items() if key not in left}
 
 
 def key_node_data(model: ForceModel, data: Dataset) -> KeyNodeData:

@@ -6,6 +6,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera import Camera
 from phytac_design.layout import Markers
+from phytac_design.simulation.switch_law import SwitchLaw
 from phytac_shapes.arrays import FloatArray
 
 
@@ -56,6 +57,8 @@ class SensorInstance:
         Young's modulus over the design's.
     on_N, off_N : (n,) float
         Force on a footprint above which a switch comes on, and below which it goes off again.
+    law : SwitchLaw, optional
+        How the design's tips come out; None where all snap.
     cameras : tuple of Camera
         As mounted and focused.
     paint : (colours + 1, 3) float
@@ -70,3 +73,4 @@ class SensorInstance:
     off_N: FloatArray
     cameras: tuple[Camera, ...]
     paint: FloatArray
+    law: SwitchLaw | None = None

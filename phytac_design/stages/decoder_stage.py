@@ -20,11 +20,11 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import EXPORT, Context, Stage, write_arrays, write_facts
 from phytac_design.layout.heights_along import along_mm, middle_mm
 from phytac_design.layout.region_chart import design_regions
-from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.dataset import Dataset, decode_points, key_node_data
 from phytac_design.simulation.force_errors import contact_forces, score_contacts
 from phytac_design.simulation.imaging.nominal_view import bundle_covers, bundle_marks, colour_model
 from phytac_design.simulation.scenario.scene_scope import scope_of
+from phytac_design.simulation.switch_law import switch_law
 from phytac_design.stages.places_stage import locator_of
 from phytac_design.stages.response_stage import readers_of
 from phytac_design.training.levenberg_marquardt import split_samples, train_network
@@ -73,7 +73,9 @@ def _tips(context: Context, prefix: str, played: BoolArray, camera: int | None =
     on, red_rest, red_on = (
         views[prefix + name][own] for name in ("on_px", "red_rest_px", "red_on_px")
     )
-    return tips_in_play(on, red_rest, red_on, played)
+    tips = tips_in_play(on, red_rest, red_on, played)
+    gradual = switch_law(context.design, context.markers).gradual
+    return replace(tips, gradual=gradual) if gradual.any() else tips
 
 
 def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) -> Bundle:
@@ -93,7 +95,7 @@ def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) 
     design, views = context.design, context.arrays("views")
     colours, classes = colour_model(design)
     readers = readers_of(context)
-    played = played_in(context)
+    played, law = played_in(context), switch_law(design, context.markers)
     shown = tuple(
         CameraView(rest_px=rest_px, tips=_tips(context, "shown_tip_", played, camera))
         for camera, rest_px in enumerate(views["shown_rest_px"])
@@ -114,7 +116,7 @@ def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) 
         model=model,
         # No force explains a switch out of play, so it is reported as faulty in every frame: its
         # threshold is the largest force of a design.
-        threshold_N=np.where(played, thresholds_N(design, context.markers), 1e4),
+        threshold_N=np.where(played, law.on_N, 1e4),
         noise_centroid_px=design.camera.noise_centroid_px,
         force_max_N=design.training.force_max_N,
         shown=shown if len(shown) > 1 else (),

@@ -6,7 +6,6 @@ from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_locator import response_arrays, response_from_arrays
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.cramer_rao import cell_prior
 from phytac_design.simulation.response_tables import (
     everywhere,
@@ -15,6 +14,7 @@ from phytac_design.simulation.response_tables import (
 )
 from phytac_design.simulation.scenario.linear_error import linear_error
 from phytac_design.simulation.scenario.scene_scope import scope_of
+from phytac_design.simulation.switch_law import switch_law
 from phytac_design.stages.response_stage import (
     IMAGE_ARRAYS,
     decoder_shell,
@@ -69,6 +69,7 @@ def locator_of(context: Context) -> ContactLocator:
     design, surface, markers = context.design, context.surface, context.markers
     training = design.training
     arrays, facts = context.arrays("places"), context.facts("places")
+    law = switch_law(design, markers)
     prior = cell_prior(
         surface.area_mm2(),
         markers.count,
@@ -83,7 +84,8 @@ def locator_of(context: Context) -> ContactLocator:
         position_mm=surface.point(markers.uv),
         neighbours=markers.neighbours,
         footprint_mm=design.switch.footprint_diameter_mm / 2.0,
-        threshold_N=thresholds_N(design, markers),
+        threshold_N=law.on_N,
+        threshold_sd=law.threshold_sd,
         prior=ContactPrior(
             place_mm=prior.place_mm,
             moments_sd_mm2=(spread, spread / 2.0, spread),

@@ -21,7 +21,7 @@ from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import truth_model
 from phytac_design.stages.views_stage import write_image
-from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,13 +95,13 @@ def render_sample(
 
     ``scenes`` are those of :func:`camera_scenes`; ``motion`` (n, 6) replaces the sample's own.
     """
-    bits = np.zeros(context.markers.count, dtype=np.bool_)
+    out: BoolArray | FloatArray = np.zeros(context.markers.count, dtype=np.bool_)
     still = np.zeros((context.markers.count, 6))
     if index is not None:
-        bits = pressed.switching.bits[index]
+        out = pressed.switching.shown[index]
         still = pressed.motion[index] if motion is None else motion
     return tuple(
-        render_frame(scene.scene(still, bits), camera)
+        render_frame(scene.scene(still, out), camera)
         for scene, camera in zip(scenes, context.sensor.cameras, strict=True)
     )
 

@@ -174,7 +174,9 @@ class PressView:
             force_N=np.array([force_N]),
             samples=1,
         )
-        on = switch_states(self.sensor, contact).bits[0] & self.design.has_switches
+        switching = switch_states(self.sensor, contact)
+        on = switching.bits[0] & self.design.has_switches
+        out = switching.shown[0] if self.design.has_switches else on
         pictures = []
         for view, scenes in zip(self.cameras, self._scenes, strict=True):
             check()
@@ -182,7 +184,7 @@ class PressView:
             moved = markers.tip_mm + motion[:, :3] + np.cross(motion[:, 3:], tips)
             press = view.project(self._inner_mm(uv[None]))[0]
             place = ((press + 0.5) / [view.width_px, view.height_px]).tolist()
-            pictures.append(rendered(scenes.scene(motion, on), view, moved) | {"press": place})
+            pictures.append(rendered(scenes.scene(motion, out), view, moved) | {"press": place})
         away = np.linalg.norm(surface.point(markers.uv) - surface.point(uv[None]), axis=1)
         nearest = int(away.argmin())
         drawn: Json = finite(

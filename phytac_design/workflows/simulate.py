@@ -195,12 +195,13 @@ class SampleWorker:
         if moved.motion is not None:
             bits, light = plan.switching.bits[index], float(plan.light[index])
             if job.scenario.solve.route == "frames":
-                frames = self.imaging.frame(moved.motion, bits, light, rng)
+                frames = self.imaging.frame(moved.motion, plan.switching.shown[index], light, rng)
                 seen = self.imaging.read(frames)
                 if job.keep == "frames":
                     facts["frames"] = self.write_frames(index, frames)
             else:
-                seen = self.imaging.points(moved.motion, bits, light, rng)
+                out = None if plan.switching.out is None else plan.switching.out[index]
+                seen = self.imaging.points(moved.motion, bits, light, rng, out=out)
             if seen.status:
                 facts["status"] = "failed"
                 facts["reasons"].append(seen.status)

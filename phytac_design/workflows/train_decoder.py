@@ -14,12 +14,15 @@ from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
 from phytac_design.layout.region_chart import design_regions
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
+from phytac_design.simulation.switch_law import switch_law
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import DECODER, assemble_bundle, untrained_model
 from phytac_design.training.evaluation.contact_scores import error_summary
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
 from phytac_design.training.result_folder import reserve_folder, write_folder
+from phytac_design.training.threshold_learning import learn_thresholds
 from phytac_design.training.trainers import TRAINERS, TrainingTask
 from phytac_design.training.training_data import (
     DataSet,
@@ -111,7 +114,9 @@ def train(
             check_inputs(item, plain.model, accuracy)
         noise_px = design.camera.noise_centroid_px
         parts = split_data_sets(sets, plain.model, noise_px=noise_px, seed=seed, limit=samples)
+        plain, learnt = _with_thresholds(plain, context.sensor, parts[0])
         bundle, trained = run_trainers(plain, parts, seed, first, progress)
+        trained |= learnt
         held_out = held_out_scores(bundle, parts[2])
         notes = {
             "training_samples": parts[0].count,
@@ -139,6 +144,17 @@ def train(
             text = json.dumps(finite(facts), indent=1, sort_keys=True, ensure_ascii=False)
             (folder / TABLE).write_text(text + "\n", encoding="utf-8")
     return facts
+
+
+def _with_thresholds(
+    bundle: Bundle, sensor: Sensor, part: SplitPart
+) -> tuple[Bundle, dict[str, Any]]:
+    """Return the bundle with thresholds of gradual switches learnt, and facts; none for bowls."""
+    law = switch_law(sensor.design, sensor.markers)
+    if not law.gradual.any() or part.samples is None or not part.has_points:
+        return bundle, {}
+    bundle, facts = learn_thresholds(bundle, sensor, law, part.samples)
+    return bundle, {"thresholds": facts}
 
 
 def _notes(

@@ -78,6 +78,30 @@ def bundle() -> Bundle:
     return replace(plain, model=replace(plain.model, locator=locator))
 
 
+def test_bundle_keeps_how_switches_turn_on(tmp_path: Path) -> None:
+    plain = bundle()
+    assert plain.model.locator is not None
+    count = len(plain.threshold_N)
+    locator = replace(plain.model.locator, threshold_sd=np.linspace(0.1, 0.3, count))
+    gradual = np.arange(count) % 2 == 0
+    tips = replace(plain.tips, gradual=gradual)
+    save_bundle(replace(plain, tips=tips, model=replace(plain.model, locator=locator)), tmp_path)
+    loaded = load_bundle(tmp_path)
+    assert loaded.tips.gradual is not None
+    assert loaded.tips.gradual.tolist() == gradual.tolist()
+    assert loaded.model.locator is not None
+    np.testing.assert_array_equal(loaded.model.locator.threshold_sd, locator.threshold_sd)
+    save_bundle(plain, tmp_path / "snapping")
+    old = load_bundle(tmp_path / "snapping")
+    assert old.tips.gradual is None
+    assert old.model.locator is not None
+    assert old.model.locator.threshold_sd is None
+    path = tmp_path / "bundle.safetensors"
+    save_file(load_file(path) | {"threshold_sd": np.zeros(count)}, path)
+    with refused("bundle-threshold-sd-invalid"):
+        load_bundle(tmp_path)
+
+
 def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
     saved = bundle()
     save_bundle(saved, tmp_path)

@@ -268,6 +268,9 @@ def test_tips_with_more_red_than_at_rest_are_half_out() -> None:
     # A fifth of the way; within the scatter of printed tips; on; too little of it; hidden at rest;
     # not readable.
     assert tips.half_out(red, on).tolist() == [True, False, False, False, False, False]
+    # A tip that comes out as the force grows is half out without a fault.
+    gradual = replace(tips, gradual=np.array([1, 0, 0, 0, 0, 0]) > 0)
+    assert not gradual.half_out(red, on).any()
 
 
 def test_switches_allow_for_light_on_red() -> None:

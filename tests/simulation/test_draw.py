@@ -195,7 +195,7 @@ def test_chunks_of_samples_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(presses.draw_presses.__kwdefaults__, "chunk", 11)
     parts = plan(own)
     for name, array in vars(whole.switching).items():
-        assert (array == getattr(parts.switching, name)).all(), name
+        assert np.all(array == getattr(parts.switching, name)), name
     assert (whole.touches.uv == parts.touches.uv).all()
 
 

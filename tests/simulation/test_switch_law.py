@@ -43,7 +43,6 @@ def test_bowls_snap_at_the_threshold_of_their_region() -> None:
     found = of(small(switch={"regions": [region]}))
     assert not found.gradual.any()
     assert sorted(set(found.on_N.tolist())) == [0.5, 0.8]
-    assert found.release_share == pytest.approx(0.8)
     bits = found.on_N > 0.6
     assert (found.out_share(np.full(len(bits), 3.0), bits, found.on_N) == bits).all()
 
@@ -71,7 +70,6 @@ def test_each_receptor_is_on_where_the_camera_counts_its_tip_as_out(
 ) -> None:
     (made,) = chosen_switches(plunger)
     assert law.gradual.all()
-    assert law.release_share == pytest.approx(1.0)
     assert np.median(law.on_N) == pytest.approx(0.5, rel=0.01)
     assert np.ptp(law.on_N) > 0.005
     assert law.on_N == pytest.approx(made["receptors_N"])

@@ -115,6 +115,9 @@ class ContactLocator:
         Radius of a switch's footprint.
     threshold_N : (n,) float
         Force on it that turns the switch on.
+    threshold_sd : (n,) float, optional
+        Standard deviation of the logarithm of each threshold over the force on it as it is found;
+        ``LocatorSettings.threshold_spread`` of all if not given.
     prior, noise : ContactPrior, ShiftNoise
         Prior of contacts, and noise of shifts.
     correction : ForceCorrection, optional
@@ -141,6 +144,7 @@ class ContactLocator:
     correction: ForceCorrection | None = None
     blind: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     camera_motion: CameraMotion | None = None
+    threshold_sd: FloatArray | None = None
     stiffness_change: float = 0.0
     linear_error: float = 0.0
 
@@ -467,7 +471,10 @@ class ContactLocator:
         """Return whether the last contact agrees with every switch that reads off."""
         carried = self._carried(found.states[-1])
         carried[koi] = carried[self.blind] = 0.0
-        return bool((carried <= SETTINGS.threshold_excess_max * self.threshold_N).all())
+        most_N = SETTINGS.threshold_excess_max * self.threshold_N
+        if self.threshold_sd is not None:
+            most_N = np.exp(2.0 * self.threshold_sd) * self.threshold_N
+        return bool((carried <= most_N).all())
 
     def _log_switches(self, state: ContactState, koi: IntArray) -> float:
         """Return the logarithm of how likely it is that switches read as they do, under a contact.
@@ -481,7 +488,7 @@ class ContactLocator:
         carried = float(state.x[0]) * disc_overlap_share(
             gap[near], radius[:, None], self.footprint_mm
         )
-        on = self._share_on(carried, self.threshold_N[near])
+        on = self._share_on(carried, near)
         reads_off = ~np.isin(near, koi) & ~np.isin(near, self.blind)
         off = 1.0 - on.min(axis=0)[reads_off]
         started = np.setdiff1d(state.markers, self.blind)
@@ -490,10 +497,10 @@ class ContactLocator:
         likely = np.maximum(np.concatenate([off, reached, missed]), SETTINGS.misread_share)
         return float(np.log(likely).sum())
 
-    @staticmethod
-    def _share_on(carried_N: FloatArray, threshold_N: FloatArray) -> FloatArray:
+    def _share_on(self, carried_N: FloatArray, ids: IntArray) -> FloatArray:
         """Return the share (…, m) of switches that forces (…, m) turn on: thresholds scatter."""
-        over = np.log(np.maximum(carried_N, 1e-9) / threshold_N) / SETTINGS.threshold_spread
+        sd = SETTINGS.threshold_spread if self.threshold_sd is None else self.threshold_sd[ids]
+        over = np.log(np.maximum(carried_N, 1e-9) / self.threshold_N[ids]) / sd
         # The logistic function is within 0.01 of the normal distribution's.
         return np.asarray(1.0 / (1.0 + np.exp(-1.702 * np.clip(over, -30.0, 30.0))))
 

@@ -58,7 +58,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 19), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 20), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -288,6 +288,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
     }
     arrays = {name: attrgetter(attribute)(bundle) for name, (attribute, _) in ARRAYS.items()}
     arrays |= {f"network.{name}": net.parameters for name, net in model.networks.items()}
+    arrays |= _switch_arrays(bundle)
     if model.locator is not None:
         meta["auto"] = locator_table(model.locator)
         arrays |= locator_arrays(model.locator)
@@ -498,7 +499,10 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         head_mm=arrays["head_mm"],
         rest_px=arrays["rest_px"],
         tip_bias_px=arrays["tip_bias_px"],
-        tips=TipModel(**{attribute: arrays[name] for name, attribute in TIPS.items()}),
+        tips=TipModel(
+            **{attribute: arrays[name] for name, attribute in TIPS.items()},
+            gradual=_gradual(arrays),
+        ),
         model=model,
         threshold_N=arrays["threshold_N"],
         # Up to schema 1.1 these were not stored.
@@ -525,10 +529,28 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         position_mm=bundle.position_mm,
         neighbours=model.neighbours,
         threshold_N=bundle.threshold_N,
+        # Up to schema 1.19 all spread alike.
+        threshold_sd=arrays.get("threshold_sd"),
         folder=folder,
     )
     locator = replace(locator, blind=bundle.tips.blind(markers_in_play(bundle)))
     return replace(bundle, model=replace(model, locator=locator))
+
+
+def _switch_arrays(bundle: Bundle) -> dict[str, Any]:
+    """Return what a bundle has of switches that do not snap, or whose thresholds were learnt."""
+    found, locator = {}, bundle.model.locator
+    if locator is not None and locator.threshold_sd is not None:
+        found["threshold_sd"] = locator.threshold_sd
+    if bundle.tips.gradual is not None:
+        found["tip_gradual"] = bundle.tips.gradual.astype(np.uint8)
+    return found
+
+
+def _gradual(arrays: dict[str, Any]) -> BoolArray | None:
+    """Return the switches (n,) that do not snap; None up to schema 1.19, and for bowls."""
+    stored = arrays.get("tip_gradual")
+    return None if stored is None else stored.astype(np.bool_)
 
 
 def _heads_on_rays(arrays: dict[str, Any], cameras: Sequence[Camera]) -> FloatArray:
@@ -570,4 +592,5 @@ def _network(name: str, table: dict[str, Any], parameters: FloatArray) -> Cascad
 def _view(arrays: dict[str, Any], number: int) -> CameraView:
     """Return the view of one of two cameras."""
     rest_px, *tips = (arrays[name][number] for name in SHOWN)
-    return CameraView(rest_px=rest_px, tips=TipModel(**dict(zip(TIPS.values(), tips, strict=True))))
+    named = dict(zip(TIPS.values(), tips, strict=True))
+    return CameraView(rest_px=rest_px, tips=TipModel(**named, gradual=_gradual(arrays)))

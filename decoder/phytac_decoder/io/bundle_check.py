@@ -37,6 +37,12 @@ SHOWN: dict[str, tuple[int | str, ...]] = {
 }
 """Further arrays of a bundle of two cameras, the view of each, and their shapes."""
 
+OPTIONAL: dict[str, tuple[int | str, ...]] = {
+    "tip_gradual": ("n",),
+    "threshold_sd": ("n",),
+}
+"""Further arrays of a bundle of switches that do not snap, or whose thresholds were learnt."""
+
 MARKS: dict[str, tuple[int | str, ...]] = {
     "mark_point_mm": ("r", 3),
     "mark_colour": ("r",),
@@ -89,6 +95,7 @@ def check_bundle(
     shapes |= SHOWN if cameras == 2 else {}
     shapes |= MARKS if "mark_point_mm" in arrays else {}
     shapes |= COVERS if "cover_marker" in arrays else {}
+    shapes |= {name: shape for name, shape in OPTIONAL.items() if name in arrays}
     shapes |= MEASURED if "measured_px" in arrays else {}
     shapes |= {"learnt_rest_px": ("prints", "n", 2)} if "learnt_rest_px" in arrays else {}
     ids = {"neighbours": (-1, n), "colour": (0, colours), "read_by": (0, cameras)}
@@ -105,7 +112,7 @@ def check_bundle(
         shapes,
         {"n": n, "2n": 2 * n},
         where=where,
-        kinds=dict.fromkeys(ids, np.int64) | {"measured_px": np.float32},
+        kinds=dict.fromkeys(ids, np.int64) | {"measured_px": np.float32, "tip_gradual": np.uint8},
         # NaN marks what a camera does not see.
         partial=("tip_on_px", "shown_rest_px", "shown_tip_on_px", "mark_rest_px", "learnt_rest_px"),
     )
@@ -115,6 +122,12 @@ def check_bundle(
                 "bundle-id-invalid",
                 f"{where}: {name} points beyond the bundle's {high} entries; rebuild the decoder",
             )
+    if "threshold_sd" in arrays and (arrays["threshold_sd"] <= 0.0).any():
+        raise InputError(
+            "bundle-threshold-sd-invalid",
+            f"{where}: threshold_sd must be positive (got {arrays['threshold_sd'].min():g}); "
+            "rebuild the decoder",
+        )
     if cameras == 2:
         own = arrays["shown_rest_px"][arrays["read_by"], np.arange(n)]
         hidden = np.flatnonzero(~np.isfinite(own).all(axis=1))

@@ -138,6 +138,7 @@ def locator_from(
     position_mm: FloatArray,
     neighbours: IntArray,
     threshold_N: FloatArray,
+    threshold_sd: FloatArray | None = None,
     folder: Path,
 ) -> ContactLocator:
     """Return the locator of :func:`locator_table` and :func:`locator_arrays`.
@@ -186,6 +187,7 @@ def locator_from(
         neighbours=neighbours,
         footprint_mm=number(table["footprint_mm"], positive=True),
         threshold_N=threshold_N,
+        threshold_sd=threshold_sd,
         prior=ContactPrior(
             place_mm=number(prior["place_mm"], positive=True),
             moments_mm2=tuple(numbers(prior["moments_mm2"], 3).tolist()),

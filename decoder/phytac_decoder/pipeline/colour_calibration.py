@@ -132,7 +132,8 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
             **{
                 name: read([getattr(item.tips, name) for item in shown])
                 for name in ("on_px", "red_rest_px", "red_on_px")
-            }
+            },
+            gradual=lit.tips.gradual,
         ),
     )
     return with_light_response(for_this_print(calibrated), rest_frames)

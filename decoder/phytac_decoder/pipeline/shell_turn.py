@@ -138,6 +138,7 @@ def _tips(tips: TipModel, order: IntArray) -> TipModel:
         on_px=tips.on_px[order],
         red_rest_px=tips.red_rest_px[order],
         red_on_px=tips.red_on_px[order],
+        gradual=None if tips.gradual is None else tips.gradual[order],
     )
 
 

@@ -325,6 +325,7 @@ class CameraFollower:
             on_px=on_px[own],
             red_rest_px=tips.red_rest_px[self.ids[own]],
             red_on_px=area[own],
+            gradual=None if tips.gradual is None else tips.gradual[self.ids[own]],
         )
         middle = self._tip_model.threshold_px
         contrast = np.maximum(area[own] - self._tip_model.red_rest_px, 0.0)

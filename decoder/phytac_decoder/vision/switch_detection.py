@@ -39,11 +39,14 @@ class TipModel:
         Centroid of the visible red when the switch is on and nothing is deformed.
     red_rest_px, red_on_px : (n,) float
         Visible red area with the switch off (the tip rests in its hole) and on.
+    gradual : (n,) bool, optional
+        Tips that come out as the force grows: half out, they are no fault. None do if not given.
     """
 
     on_px: FloatArray
     red_rest_px: FloatArray
     red_on_px: FloatArray
+    gradual: BoolArray | None = None
 
     @cached_property
     def readable(self) -> BoolArray:
@@ -78,11 +81,16 @@ class TipModel:
         return float(np.clip(change, *RED_SEEN_RANGE))
 
     def half_out(self, red_px: FloatArray, switch_on: BoolArray) -> BoolArray:
-        """Tips (n,) that are off, and show more red (n,) than at rest; red of a followed light."""
+        """Tips (n,) that are off, and show more red (n,) than at rest; red of a followed light.
+
+        Of those that snap.
+        """
         rest_px, seen = self.red_rest_px, self.red_rest_px >= HALF_OUT_MIN_px
         least_px = np.maximum(
             rest_px + HALF_OUT_SHARE * (self.red_on_px - rest_px), RED_SEEN_RANGE[1] * rest_px
         )
+        if self.gradual is not None:
+            seen = seen & ~self.gradual
         return np.asarray(~switch_on & self.readable & seen & (red_px > least_px))
 
     @property

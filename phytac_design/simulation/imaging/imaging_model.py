@@ -232,7 +232,7 @@ class ImagingModel:
     def frame(
         self,
         motion: FloatArray,
-        bits: BoolArray,
+        out: BoolArray | FloatArray,
         light: float = 1.0,
         rng: np.random.Generator | None = None,
     ) -> tuple[ImageArray, ...]:
@@ -242,15 +242,15 @@ class ImagingModel:
         ----------
         motion : (n, 6) float
             Translation (mm) and rotation vector (rad) of the middle face under each marker.
-        bits : (n,) bool
-            Switches that are on.
+        out : (n,) bool or float
+            Tips that are out, or how far each is, as a share of the stroke.
         light : float
             Brightness over that at the start.
         rng : Generator, optional
             Draws the noise; none without.
         """
         return tuple(
-            self._exposed(simulated, simulated.light(simulated.scene(motion, bits)), light, rng)
+            self._exposed(simulated, simulated.light(simulated.scene(motion, out)), light, rng)
             for simulated in self.cameras
         )
 
@@ -277,27 +277,32 @@ class ImagingModel:
         bits: BoolArray,
         light: float = 1.0,
         rng: np.random.Generator | None = None,
+        *,
+        out: FloatArray | None = None,
     ) -> MarkerReading:
         """What :meth:`read` would find in :meth:`frame`, without an image; parameters as there.
 
-        Bits are taken as they are. Noise is that of each marker's centroid in this
-        instance's frames, which grows as light gets scarce; and the error of segmentation
-        that depends on where on the pixels a marker lies: the same for the same place, and
-        none for a marker at rest.
+        Bits are taken as they are; of gradual switches ``out`` is how far tips are out. Noise is
+        that of each marker's centroid in this instance's frames, which grows as light gets scarce;
+        and the error of segmentation that depends on where on the pixels a marker lies: the same
+        for the same place, and none for a marker at rest.
         """
         if self.status:
             return MarkerReading.nothing(self.count, self.status)
-        shift = self.exact(motion, bits, light) + self._covered(motion, bits)
+        shown = bits if out is None else out
+        shift = self.exact(motion, shown, light) + self._covered(motion, bits, shown)
         shift = self.errors.added(shift, bits, light=light, rng=rng)
         seen = bits & self._has_switches
         return MarkerReading(shift_px=shift, bits=seen, found=np.isfinite(shift[:, 0]))
 
-    def exact(self, motion: FloatArray, bits: BoolArray, light: float = 1.0) -> FloatArray:
+    def exact(
+        self, motion: FloatArray, out: BoolArray | FloatArray, light: float = 1.0
+    ) -> FloatArray:
         """Shift (n, 2) px of each marker's paint, without noise and without what tips cover."""
-        out = self._places(motion, light) - self._places_at_rest
+        shift = self._places(motion, light) - self._places_at_rest
         if self.centroids == "pixels":
-            out += self._hiding(motion, bits)
-        return out
+            shift += self._hiding(motion, out)
+        return shift
 
     @cached_property
     def errors(self) -> CentroidErrors:
@@ -331,11 +336,13 @@ class ImagingModel:
         each = [paint.centroids(motion, light) for paint in self._paints]
         return np.asarray(np.stack(each)[self.nominal.read_by, np.arange(self.count)])
 
-    def _covered(self, motion: FloatArray, bits: BoolArray) -> FloatArray:
-        """How far the tips that are out move centroids, over what they do at rest, (n, 2) px."""
+    def _covered(
+        self, motion: FloatArray, bits: BoolArray, out: BoolArray | FloatArray
+    ) -> FloatArray:
+        """How far tips move centroids, over what those of switches that are on do at rest."""
         still = np.zeros_like(motion)
         each = [
-            tips.shift_px(motion, bits & (self.nominal.read_by == number))
+            tips.shift_px(motion, np.where(self.nominal.read_by == number, out, np.zeros_like(out)))
             - tips.shift_px(still, bits & (self.nominal.read_by == number))
             for number, tips in enumerate(self._tips)
         ]
@@ -373,10 +380,10 @@ class ImagingModel:
         """Centroid offsets (n, 2) px by occlusion at rest, in each camera."""
         return [_occlusion_px(simulated, simulated.rest) for simulated in self.cameras]
 
-    def _hiding(self, motion: FloatArray, bits: BoolArray) -> FloatArray:
+    def _hiding(self, motion: FloatArray, out: BoolArray | FloatArray) -> FloatArray:
         """How far what hides parts of a marker moves its centroid, over that at rest, (n, 2) px."""
         each = [
-            _occlusion_px(simulated, simulated.scene(motion, bits, wall_follows=False)) - rest
+            _occlusion_px(simulated, simulated.scene(motion, out, wall_follows=False)) - rest
             for simulated, rest in zip(self.cameras, self._hiding_at_rest, strict=True)
         ]
         return np.asarray(np.stack(each)[self.nominal.read_by, np.arange(self.count)])

@@ -17,7 +17,6 @@ from phytac_decoder.vision.switch_detection import TipCovers, TipModel
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
-from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.paint import paints_of, resin_of
 from phytac_design.optics.raster import owner_sums, rasterise
@@ -33,6 +32,7 @@ from phytac_design.simulation.imaging.paint_centroids import PaintPoints
 from phytac_design.simulation.imaging.tip_covers import as_detected, exact_covers
 from phytac_design.simulation.imaging.virtual_camera import bar_strip
 from phytac_design.simulation.linear_response import rigid_slope
+from phytac_design.simulation.switch_law import switch_law
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 
@@ -351,11 +351,14 @@ def vision_bundle(
         Arrays of the stage ``views``, or of :func:`expected_views`.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    n = markers.count
+    n, law = markers.count, switch_law(design, markers)
     colours, classes = colour_model(design)
     read_by = np.asarray(views["camera"])
     shown = tuple(
-        CameraView(rest_px=rest, tips=TipModel(on_px=on, red_rest_px=off, red_on_px=out))
+        CameraView(
+            rest_px=rest,
+            tips=TipModel(on_px=on, red_rest_px=off, red_on_px=out, gradual=law.gradual),
+        )
         for rest, on, off, out in zip(
             views["shown_rest_px"],
             views["shown_tip_on_px"],
@@ -385,6 +388,7 @@ def vision_bundle(
             on_px=own([item.tips.on_px for item in shown]),
             red_rest_px=own([item.tips.red_rest_px for item in shown]),
             red_on_px=own([item.tips.red_on_px for item in shown]),
+            gradual=law.gradual,
         ),
         model=ForceModel(
             shift_to_mm=np.zeros((n, 2)),
@@ -396,7 +400,7 @@ def vision_bundle(
             neighbours=markers.neighbours,
             networks={},
         ),
-        threshold_N=thresholds_N(design, markers),
+        threshold_N=law.on_N,
         noise_centroid_px=design.camera.noise_centroid_px,
         force_max_N=design.training.force_max_N,
         shown=shown,

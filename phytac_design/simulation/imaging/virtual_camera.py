@@ -10,7 +10,7 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import LensBlur, light_on_chip
 from phytac_design.optics.frame_renderer import sample_offsets
 from phytac_design.optics.light import Strip, triangle_light
-from phytac_design.optics.pressed_scene import PressedScene
+from phytac_design.optics.pressed_scene import PressedScene, with_tips
 from phytac_design.optics.raster import paint_alone, project_scene
 from phytac_design.optics.render_scene import RenderScene
 from phytac_design.simulation.sensor_instance import SensorInstance
@@ -76,22 +76,25 @@ class TipCover:
     ) -> None:
         self.scenes, self.camera, self.pivots_mm = (rest, on), camera, pivots_mm
 
-    def shift_px(self, motion: FloatArray, bits: BoolArray) -> FloatArray:
+    def shift_px(self, motion: FloatArray, out: BoolArray | FloatArray) -> FloatArray:
         """Shift (n, 2) px of each paint's centroid because its tip is out; 0 where it is not.
 
         Parameters
         ----------
         motion : (n, 6) float
             Translation (mm) and rotation (rad) of the wall under each marker.
-        bits : (n,) bool
-            Switches that are on.
+        out : (n,) bool or float
+            Tips that are out, or how far each is, as a share of the stroke.
         """
-        out = np.zeros((len(bits), 2))
-        ids = np.flatnonzero(bits)
+        shift = np.zeros((len(out), 2))
+        ids = np.flatnonzero(out)
         if len(ids):
-            before, after = (self._centroids(scene, motion, ids) for scene in self.scenes)
-            out[ids] = np.nan_to_num(after - before)
-        return out
+            rest, on = self.scenes
+            before, after = (
+                self._centroids(scene, motion, ids) for scene in (rest, with_tips(rest, on, out))
+            )
+            shift[ids] = np.nan_to_num(after - before)
+        return shift
 
     def _centroids(self, scene: RenderScene, motion: FloatArray, ids: IntArray) -> FloatArray:
         """Centroids (m, 2) px of the paint of receptors ``ids`` (m,), each alone."""

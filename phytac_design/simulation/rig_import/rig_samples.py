@@ -19,11 +19,11 @@ from phytac_decoder.vision.segmentation import check_image
 from phytac_design.datasets.samples import REAL, Samples, truth_rows
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
-from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.simulation.contacts import Contacts, Switching, assign_forces
 from phytac_design.simulation.rig_import.rig_frames import FrameSource
 from phytac_design.simulation.rig_import.rig_log import RigLog
+from phytac_design.simulation.switch_law import switch_law
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
@@ -197,7 +197,7 @@ def _remarks(
     for row, measured in zip(out, seen, strict=True):
         row[0] = measured.found.mean() < FOUND_WELL
         row[1] = bool(measured.moved_cameras(rig.bundle, None))
-    limit = sure * thresholds_N(rig.design, rig.markers)
+    limit = sure * switch_law(rig.design, rig.markers).on_N
     must = share * touches.force_N[:, None] > limit
     np.logical_or.at(out[:, 2], touches.sample, (must & ~bits[touches.sample]).any(axis=1))
     out[:, 3] = (bits & (switching.owner < 0)).any(axis=1)
@@ -210,7 +210,7 @@ def _doubt(rig: RigSetup, touches: Contacts, share: FloatArray, switching: Switc
     weak = 0.3
     carried = share * touches.force_N[:, None]
     mine = switching.owner[touches.sample] == np.arange(len(touches.sample))[:, None]
-    ratio = (carried / thresholds_N(rig.design, rig.markers))[mine]
+    ratio = (carried / switch_law(rig.design, rig.markers).on_N)[mine]
     if len(ratio) == 0 or np.median(ratio) >= weak:
         return ""
     return (

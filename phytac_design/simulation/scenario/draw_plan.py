@@ -283,10 +283,13 @@ def _switching(
             np.add.at(total, own.sample, share * past[:, None])
             state = switch_step(state, total, unit.on_N, unit.off_N)
         part = assign_forces(own, share, state)
+        if unit.law is not None:  # tips follow the force of now, the last one
+            part = replace(part, out=unit.law.out_share(total, state, unit.on_N))
         parts.append(replace(part, owner=np.where(part.owner >= 0, part.owner + begin, -1)))
     return Switching(
         bits=np.concatenate([part.bits for part in parts]),
         owner=np.concatenate([part.owner for part in parts]),
         receptor_force_N=np.concatenate([part.receptor_force_N for part in parts]),
         tripped=np.concatenate([part.tripped for part in parts]),
+        out=None if unit.law is None else np.concatenate([part.shown for part in parts]),
     )

@@ -10,11 +10,11 @@ from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.heights import directions
 from phytac_design.layout.marker_layout import with_heights
 from phytac_design.layout.sensor import Sensor
-from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.contacts import tangent_step
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
+from phytac_design.simulation.switch_law import switch_law
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
@@ -46,15 +46,16 @@ def draw_sensor_instance(
         return np.asarray(1.0 + scatter * sd * normal(which, *shape))
 
     count, cameras = markers.count, cameras_of(design, surface)
-    on = thresholds_N(design, markers) * factor(
-        RandomStream.THRESHOLD, section.threshold_share, count
-    )
+    law = switch_law(design, markers)
+    on = law.on_N * factor(RandomStream.THRESHOLD, section.threshold_share, count)
     ratio = (
         design.switch.release_N / design.switch.threshold_N
         if section.release_share is None
         else section.release_share
     )
     off = ratio * on * factor(RandomStream.RELEASE, section.release_scatter, count)
+    # Switches that do not snap have no hysteresis.
+    off = np.where(law.gradual, on, off)
     return SensorInstance(
         number=section.number,
         markers=_moved(
@@ -80,6 +81,7 @@ def draw_sensor_instance(
                 )
             )
         ),
+        law=law if law.gradual.any() else None,
         paint=factor(RandomStream.PAINT, section.paint_share, len(design.layout.colours) + 1, 3),
     )
 
