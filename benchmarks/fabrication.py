@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks import (
     fabrication_effort,
+    fabrication_families,
     fabrication_inspect,
     fabrication_parts,
     fabrication_switch,
@@ -213,6 +214,8 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "effort": partial(fabrication_effort.add_rows, quick=quick),
         "printing": partial(fabrication_parts.printing_rows, quick=quick),
         "switch": partial(fabrication_switch.add_rows, quick=quick),
+        "families": partial(fabrication_families.add_rows, quick=quick),
+        "family decoders": partial(fabrication_families.decoder_rows, quick=quick),
         "molds": partial(fabrication_parts.mold_rows, quick=quick),
         "hardware": partial(fabrication_parts.hardware_rows, quick=quick),
         "inspect": partial(fabrication_inspect.add_rows, quick=quick),
