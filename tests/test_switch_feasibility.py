@@ -16,7 +16,7 @@ from phytac_design.study.advice import quick_repair
 from phytac_design.study.advice.design_variables import with_fields
 from phytac_design.study.advice.quick_repair import ReadableRepair
 from phytac_design.study.advice.switch_changes import threshold_changes
-from phytac_design.workflows import switch_feasibility
+from phytac_design.workflows import design_check, switch_feasibility
 from phytac_design.workflows.design_check import full_check
 from phytac_design.workflows.switch_feasibility import check_thresholds
 from phytac_shapes.errors import DesignError
@@ -212,3 +212,32 @@ def test_thresholds_that_no_rubber_has_stay(monkeypatch: pytest.MonkeyPatch) -> 
     design, words = new_command._switches_of(small(), 0.3)
     assert design == small()
     assert "from about 1.5 N on (wanted: 0.3 N" in words
+
+
+def test_the_check_names_family_and_rubber(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = tiny(switch={"family": "best", "material": "best"})
+    one = {
+        "threshold_N": 0.5,
+        "family": "plunger",
+        "rubber": {"name": "rebound-25"},
+        "spread": {"band": 0.134},
+        "choice": "± 13 %, the smallest spread that fits",
+    }
+    for module in (design_check, switch_feasibility):
+        monkeypatch.setattr(module, "chosen_switches", lambda *_: [one])
+    report = full_check(case)
+    (made,) = report["switches"]
+    assert (made["family"], made["rubber"], made["band"]) == ("plunger", "rebound-25", 0.134)
+    check_command._print_check(report)
+    line = "switches of 0.5 N: plunger of rebound-25, ± 13 %, the smallest spread that fits"
+    assert line in capsys.readouterr().out
+
+    def refuse(*_: object) -> None:
+        raise DesignError("switch-infeasible", "no switch fits")
+
+    monkeypatch.setattr(switch_feasibility, "chosen_switches", refuse)
+    refused_report = full_check(case)
+    assert [fault["code"] for fault in refused_report["faults"]] == ["switch-infeasible"]
+    assert "switches" not in refused_report

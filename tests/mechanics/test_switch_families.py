@@ -288,6 +288,13 @@ def test_command_compares(made: CupDesign, monkeypatch: pytest.MonkeyPatch, tmp_
     none = CliRunner().invoke(app, [*words[:2], "membrane", *words[3:]])
     assert getattr(none.exception, "code", "") == "switch-infeasible"
     assert "no web" in none.output
+    # A design says itself what is compared.
+    path.write_text(to_toml(small(switch={"family": "best", "material": "dragon-skin-20"})))
+    own = CliRunner().invoke(app, [str(path), "--json"])
+    assert own.exit_code == 0, own.output
+    rubbers = {one["rubber"] for one in json.loads(own.stdout)["candidates"]}
+    assert rubbers == {"dragon-skin-20"}
+    path.write_text(to_toml(small()))
     bare = CliRunner().invoke(app, [words[0], "--molds", str(tmp_path)])
     assert getattr(bare.exception, "code", "") == "switch-molds-without-family"
     wrong = CliRunner().invoke(app, [*words[:2], "spring"])
