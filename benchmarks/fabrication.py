@@ -15,6 +15,7 @@ import numpy as np
 from benchmarks import (
     fabrication_effort,
     fabrication_families,
+    fabrication_inserts,
     fabrication_inspect,
     fabrication_parts,
     fabrication_switch,
@@ -218,6 +219,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "family decoders": partial(fabrication_families.decoder_rows, quick=quick),
         "molds": partial(fabrication_parts.mold_rows, quick=quick),
         "hardware": partial(fabrication_parts.hardware_rows, quick=quick),
+        "inserts": partial(fabrication_inserts.add_rows, quick=quick),
         "inspect": partial(fabrication_inspect.add_rows, quick=quick),
     }
 

@@ -65,6 +65,29 @@ class Assembly:
         """Leave the paint of a marker out."""
         self.recode(paint_owner(self.scene.part) == marker, RESIN)
 
+    def without_insert(self, marker: int) -> None:
+        """Leave an insert out: its tube is open, and the camera looks through to the wall."""
+        scene, radius = self.scene, self.sensor.design.receptor.diameter_outer_mm / 2.0
+        _, off = self._along(marker)
+        inner = (off < radius + 1e-6)[scene.triangles].all(axis=1)
+        self.scene = scene.part_of(np.flatnonzero(~(inner & (scene.triangle_owner == marker))))
+
+    def pushed(self, marker: int, further_mm: float) -> None:
+        """Move the end face of an insert along its axis: too long a one, or not pushed home."""
+        scene, markers = self.scene, self.sensor.markers
+        along, _ = self._along(marker)
+        end = (scene.vertex_owner == marker) & (along > markers.height_mm[marker] - 1e-6)
+        vertices = scene.vertices.copy()
+        vertices[end] += further_mm * markers.direction[marker]
+        self.scene = replace(scene, vertices=vertices)
+
+    def _along(self, marker: int) -> tuple[FloatArray, FloatArray]:
+        """Distance of all vertices along a receptor's axis from its base, and from the axis."""
+        axis = self.sensor.markers.direction[marker]
+        arm = self.scene.vertices - self.sensor.markers.base_mm[marker]
+        along = arm @ axis
+        return along, np.linalg.norm(arm - along[:, None] * axis, axis=1)
+
     def swapped(self, marker: int) -> None:
         """Paint a marker with the other colour."""
         colour = self.scene.colour.copy()

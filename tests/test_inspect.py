@@ -16,8 +16,10 @@ from benchmarks.fabrication_inspect import Assembly, judge, plant
 from phytac_decoder.io.sensor_limits import axial_rotation
 from phytac_design.cli.app import app
 from phytac_design.design.design_file import load_design
+from phytac_design.fabrication.inserts.sprues import plan_sprues
 from phytac_design.layout.sensor import Sensor
-from phytac_design.workflows.inspect_assembly import Step, inspect
+from phytac_design.rules.check import check_design
+from phytac_design.workflows.inspect_assembly import Step, inspect, spot_names, sprue_places
 from phytac_shapes.arrays import ImageArray
 from tests.refusals import refused
 
@@ -103,3 +105,41 @@ def test_the_command_names_receptor_mistake_and_next_step(tmp_path: Path) -> Non
     ringed = cv2.imread(str(picture)).astype(int) - cv2.imread(str(photo)).astype(int)
     place = np.argwhere(np.abs(ringed).max(axis=2) > 100)[:, ::-1]
     assert np.linalg.norm(place - one["at_px"], axis=1).min() < 30.0
+
+
+@cache
+def with_inserts() -> Sensor:
+    receptor = handle().design.receptor.model_copy(update={"colouring": "insert"})
+    return check_design(handle().design.model_copy(update={"receptor": receptor}))
+
+
+def test_inserts_that_are_missing_swapped_or_too_long_are_found() -> None:
+    sensor = with_inserts()
+    good, faulty = (Assembly(sensor, "painted") for _ in range(2))
+    assert not inspect(sensor, [good.photo(disturb=True, seed=3)], "painted").mistakes
+    tall = np.flatnonzero(sensor.markers.height_mm > 1.0)
+    missing, swapped, out = (int(k) for k in tall[[5, 20, 40]])
+    faulty.without_insert(missing)
+    faulty.swapped(swapped)
+    faulty.pushed(out, 1.2)
+    result = inspect(sensor, [faulty.photo(disturb=True, seed=4)], "painted")
+    names = spot_names(sensor)
+    found = {one.place: one for one in result.mistakes}
+    assert set(found) == {names[k] for k in (missing, swapped, out)}
+    assert found[names[missing]].fault == "missing"
+    assert found[names[swapped]].fault == "wrong colour"
+    assert found[names[out]].fault in {"too large", "off centre"}
+    places = sprue_places(sensor)
+    assert found[names[missing]].action.endswith(places[missing])
+    assert "paint" not in found[names[swapped]].action
+
+
+def test_a_sprue_that_was_left_out_is_named() -> None:
+    sensor = with_inserts()
+    sprue = next(one for one in plan_sprues(sensor) if len(one.markers) > 2)
+    faulty = Assembly(sensor, "painted")
+    for marker in sprue.markers:
+        faulty.without_insert(marker)
+    result = inspect(sensor, [faulty.photo(disturb=False, seed=4)], "painted")
+    assert len(result.mistakes) == len(sprue.markers)
+    assert any(note.startswith(f"sprue {sprue.label}: missing") for note in result.notes)

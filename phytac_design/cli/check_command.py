@@ -204,7 +204,13 @@ def _print_effort(effort: dict[str, Any]) -> None:
         f"to make: {effort['parts_handled']} parts, {effort['hours_total']:.1f} h of hand work, "
         f"{effort['hours_paint_and_glue']:.1f} h of it painting and gluing"
     )
-    typer.echo(f"  {effort['receptor_ends']} receptor ends to paint inside the shell")
+    if effort["inserts"]:
+        typer.echo(
+            f"  {effort['inserts']} coloured inserts on {effort['parts']['sprues']} sprues to push "
+            f"in from outside, {grams['inserts']}"
+        )
+    else:
+        typer.echo(f"  {effort['receptor_ends']} receptor ends to paint inside the shell")
     if effort["switches"]:
         typer.echo(
             f"  {effort['switches']} switches to cast, trim, paint and glue; stem lengths: "

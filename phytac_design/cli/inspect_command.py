@@ -36,7 +36,9 @@ def inspect(
     ],
     step: Annotated[
         Literal["painted", "assembled"],
-        typer.Option(help="Last step: the shell is painted, or the switches are glued in as well."),
+        typer.Option(
+            help="Last step: the shell is painted or has its inserts, or has its switches as well."
+        ),
     ] = "assembled",
     as_json: Annotated[
         Path | None,

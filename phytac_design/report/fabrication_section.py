@@ -33,6 +33,7 @@ def fabrication_facts(facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         "interference_mm3": (hardware.get("interference") or {}).get("shared_mm3"),
         "light_leaks": (hardware.get("light") or {}).get("leaks"),
         "screws": hardware.get("joints", []),
+        "insert_fits_mm": facts["inserts"].get("fits_mm", {}),
         "hardware_left_out": _left_out(hardware),
         "mold_left_out": mold.get("left_out", ""),
         "print_process": printing["process"],
@@ -83,6 +84,7 @@ def effort_tables(effort: Mapping[str, Any]) -> str:
     """Parts, hand work and material side by side, as HTML."""
     materials = {
         "shell": "shell, resin",
+        "inserts": "inserts and their sprues, resin",
         "molds": "molds, resin",
         "silicone": "silicone",
         "rubber": "rubber, with what runs over",
@@ -93,6 +95,9 @@ def effort_tables(effort: Mapping[str, Any]) -> str:
         (name, effort["mass_g"][key]) for key, name in materials.items() if effort["mass_g"][key]
     ]
     words = [f"{effort['receptor_ends']} receptor ends are painted by hand"]
+    if effort["inserts"]:
+        sprues = effort["parts"]["sprues"]
+        words = [f"{effort['inserts']} coloured inserts on {sprues} sprues are pushed in"]
     if effort["switches"]:
         words.append(
             f"{effort['switches']} switches are cast, trimmed, painted and glued (stem lengths: "
@@ -121,12 +126,13 @@ def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
         "bench/assembly.html": "assembly sheet",
         "bench/paint_map.pdf": "paint map, 1:1",
         "bench/switch_placement.csv": "which switch goes where",
+        "inserts/placement.csv": "which insert goes where",
         "bench/bill_of_materials.csv": "bill of materials",
         "bench/casting.md": "casting recipe",
         "shell/print_report.svg": "print report",
         "kit/README.md": "calibration kit",
     }
-    stages = {"bench": "bench", "shell": "printing", "kit": "kit"}
+    stages = {"bench": "bench", "shell": "printing", "kit": "kit", "inserts": "inserts"}
     documents = ", ".join(
         f'<a href="../{path}">{name}</a>'
         for path, name in files.items()

@@ -5,6 +5,7 @@ import numpy as np
 from phytac_design.design.safe_rounding import at_least
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.inserts.sprue_sizes import neck_mm, ring_mm
+from phytac_design.fabrication.inserts.sprues import sprue_room_mm
 from phytac_design.layout.receptor_distances import nearest_pair
 from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.refusal import SLACK_mm, fewer, refuse
@@ -23,6 +24,7 @@ def check_inserts(sensor: Sensor) -> None:
         return
     _check_fits(design)
     _check_seats(sensor)
+    sprue_room_mm(design)
     neck, ring = neck_mm(design.print_rules), ring_mm(design.receptor)
     if neck > ring + SLACK_mm:
         refuse(

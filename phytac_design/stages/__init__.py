@@ -6,6 +6,7 @@ from phytac_design.stages.decoder_stage import DECODER
 from phytac_design.stages.documents_stage import BENCH
 from phytac_design.stages.frames_stage import FRAMES
 from phytac_design.stages.hardware_stage import HARDWARE
+from phytac_design.stages.inserts_stage import INSERTS
 from phytac_design.stages.loaded_views_stage import UNDERLOAD
 from phytac_design.stages.mesh_stage import MESH
 from phytac_design.stages.mold_stage import MOLD
@@ -30,6 +31,7 @@ STAGES: tuple[Stage, ...] = (
     HARDWARE,
     MOLD,
     KIT,
+    INSERTS,
     PRINTING,
     BENCH,
     MESH,

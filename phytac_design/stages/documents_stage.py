@@ -75,6 +75,9 @@ def run(context: Context, folder: Path) -> None:
     )
     write_text(folder, "bench/assembly.html", sheet)
     masses = {name: bill.total_mass_g(rows, name) for name in ("resin", "tpu", "silicone")}
+    if design.receptor.has_inserts:
+        colours = set(design.layout.colours)
+        masses["inserts"] = sum(bill.total_mass_g(rows, f"paint-{name}") for name in colours)
     write_facts(
         folder,
         {
@@ -104,7 +107,7 @@ def cast_design(context: Context) -> Design:
 
 def parts_of(context: Context) -> dict[str, list[dict[str, Any]]]:
     """Parts lists of the other stages, by stage."""
-    return {name: context.facts(name)["parts"] for name in OTHERS}
+    return {name: context.facts(name)["parts"] for name in OTHERS if name in context.folders}
 
 
 def _volume_mm3(rows: list[dict[str, Any]], material: str) -> float:

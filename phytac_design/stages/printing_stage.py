@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.printing.overhang import suggest
 from phytac_design.fabrication.printing.parting import part_shell
@@ -14,8 +16,10 @@ from phytac_design.solids.mesh_export import read_stl, write_stl
 from phytac_design.solids.solid_mesh import shell_manifold, to_triangles
 from phytac_shapes.errors import DesignError
 
-OTHERS = ("mold", "hardware", "kit")
+OTHERS = ("mold", "hardware", "kit", "inserts")
 """Stages whose parts lists name more printed files."""
+UPRIGHT = np.array([0.0, 0.0, 1.0])
+"""Sprues of inserts stand on their bars."""
 
 
 def run(context: Context, folder: Path) -> None:
@@ -35,7 +39,8 @@ def run(context: Context, folder: Path) -> None:
             continue
         context.progress(f"printing: {file}")
         # Measured at coarser points than the shell: they are sturdier.
-        other = check_body(read_stl(path), rules, spacing_mm=1.0, tolerance_mm=tolerance)
+        up = UPRIGHT if file.startswith("inserts/") else None
+        other = check_body(read_stl(path), rules, spacing_mm=1.0, tolerance_mm=tolerance, up=up)
         parts[file] = other.as_dict()
     facts: dict[str, Any] = {
         "process": rules.process,
@@ -66,7 +71,8 @@ def printed_files(context: Context) -> dict[str, Path]:
         for part in context.facts(name).get("parts", []):
             file = str(part["file"])
             path = context.folders[name] / EXPORT / file
-            if part["material"] == "resin" and file.endswith(".stl") and path.is_file():
+            printed = part["material"] == "resin" or part["material"].startswith("paint-")
+            if printed and file.endswith(".stl") and path.is_file():
                 found.setdefault(file, path)
     return found
 

@@ -24,6 +24,8 @@ from phytac_design.stages.loaded_views_stage import UNDERLOAD
 from phytac_design.stages.switch_stage import SWITCH
 from phytac_design.stages.views_stage import VIEWS
 
+FABRICATION = ("hardware", "mold", "kit", "inserts", "printing", "bench")
+
 
 def gather(context: Context) -> dict[str, Any]:
     """Every figure of the build, as report.json holds it."""
@@ -69,9 +71,7 @@ def gather(context: Context) -> dict[str, Any]:
         "lens": views["cameras"][0]["lens"],
         "shell": shell | step,
         "switch": context.facts("switch"),
-        "fabrication": fabrication_facts(
-            {name: context.facts(name) for name in ("hardware", "mold", "kit", "printing", "bench")}
-        )
+        "fabrication": fabrication_facts({name: context.facts(name) for name in FABRICATION})
         | {"effort": effort_of(context.sensor).as_dict()},
         "mesh": context.facts("mesh"),
         "decoder": {name: decoder["test"][name] for name in decoder["test"]},
@@ -134,6 +134,7 @@ REPORT = Stage(
         "hardware",
         "mold",
         "kit",
+        "inserts",
         "printing",
         "bench",
         "mesh",

@@ -27,6 +27,7 @@ from phytac_decoder.vision.switch_detection import (
     TipModel,
 )
 from phytac_design.fabrication.documents.paint_map import marker_numbers
+from phytac_design.fabrication.inserts.sprues import plan_sprues
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
@@ -115,6 +116,20 @@ ACTIONS = {
     "camera moved": "set the camera as designed and tighten its mount",
 }
 """What to do about each mistake."""
+INSERT_ACTIONS = {
+    "missing": "push the {paint} insert in: {sprue}",
+    "wrong colour": "take it out and push the {paint} one in: {sprue}",
+    "other paint on it": "clean its end; else take it out and push the right one in: {sprue}",
+    "weak colour": "clean its end, and see that nothing covers it",
+    "too small": "push it in until its head lies in its seat; else it is too short: {sprue}",
+    "too large": "it is too long: put in the right one: {sprue}",
+    "runs into a neighbour": "clean the tubes' ends; see that it is the right one: {sprue}",
+    "off centre": "push it in until its head lies in its seat; else it is another one: {sprue}",
+    "all too small": "push the inserts in until their heads lie in their seats; see whether the "
+    "photo is in focus and lit",
+    "all too large": "see whether the photo is sharp, and whether the inserts are of this design",
+}
+"""What to do about each mistake of markers that are inserts; other mistakes are as above."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -397,6 +412,7 @@ def inspect(sensor: Sensor, photos: Sequence[ImageArray], step: Step) -> Inspect
     notes = [f"{hidden} markers show too little paint in the photo to be judged"] if hidden else []
     if blind.any() and step == "assembled" and sensor.design.has_switches:
         notes.append(f"{int(blind.sum())} red tips look alike in and out, and are not judged")
+    notes += whole_sprues(sensor, mistakes)
     turns = len(alike_turns(sensor))
     if turns > 1 and not sensor.reference_marks.count:
         notes.append(
@@ -406,6 +422,35 @@ def inspect(sensor: Sensor, photos: Sequence[ImageArray], step: Step) -> Inspect
     return Inspection(
         step=step, mistakes=mistakes, judged=int(judged.sum()), spots=len(names), notes=notes
     )
+
+
+def action_for(fault: str, *, inserts: bool) -> str:
+    """What to do about a mistake of a marker that is painted, or an insert."""
+    return (ACTIONS | INSERT_ACTIONS if inserts else ACTIONS)[fault]
+
+
+def sprue_places(sensor: Sensor) -> dict[int, str]:
+    """Sprue of each marker's insert and its number on it; empty for painted markers."""
+    if not sensor.design.receptor.has_inserts:
+        return {}
+    return {
+        marker: f"number {place} of sprue {sprue.label}"
+        for sprue in plan_sprues(sensor)
+        for place, marker in enumerate(sprue.markers, start=1)
+    }
+
+
+def whole_sprues(sensor: Sensor, mistakes: Sequence[Mistake]) -> list[str]:
+    """Notes on sprues all of whose inserts show one fault: they were left out or mixed up."""
+    if not sensor.design.receptor.has_inserts:
+        return []
+    names, seen = spot_names(sensor), {(one.place, one.fault) for one in mistakes}
+    return [
+        f"sprue {sprue.label}: {fault} at all of its {len(sprue.markers)} receptors"
+        for sprue in plan_sprues(sensor)
+        for fault in ("missing", "wrong colour")
+        if len(sprue.markers) > 1 and all((names[k], fault) in seen for k in sprue.markers)
+    ]
 
 
 def spot_names(sensor: Sensor) -> list[str]:
@@ -555,17 +600,18 @@ def _compare(expected: ExpectedPhoto, frame: ImageArray, names: Sequence[str]) -
                 fault=kind,
                 measured=f"{_percent(common)} in the median",
                 allowed=f"{_percent(SETTINGS.area_min)} to {_percent(SETTINGS.area_max)}",
-                action=ACTIONS[kind],
+                action=action_for(kind, inserts=expected.sensor.design.receptor.has_inserts),
             )
         )
     paint = _paint_faults(expected, found_areas, model, blobs, shift, names)
+    sprues = sprue_places(expected.sensor)
     for spot in range(len(names)):
         found = paint.get(spot)
         # A tip that is out covers paint.
         if found and spot in tips and found[0] in {"too small", "off centre"}:
             found = None
         mistakes += [
-            _mistake(expected, names, spot, one, shift[spot])
+            _mistake(expected, names, spot, one, shift[spot], sprues.get(spot, ""))
             for one in (found, tips.get(spot))
             if one
         ]
@@ -677,8 +723,9 @@ def _mistake(
     spot: int,
     fault: Fault,
     shift_px: FloatArray,
+    sprue: str = "",
 ) -> Mistake:
-    """Mistake of one spot: kind, measured, allowed."""
+    """Mistake of one spot: kind, measured, allowed; ``sprue`` is where its insert is, if any."""
     markers = expected.sensor.markers
     rows = spot < markers.count and markers.in_rows
     at = expected.rest_px[spot] + shift_px
@@ -690,7 +737,9 @@ def _mistake(
         fault=kind,
         measured=measured,
         allowed=allowed,
-        action=ACTIONS[kind].format(paint=expected.model.names[expected.colour[spot]]),
+        action=action_for(kind, inserts=bool(sprue)).format(
+            paint=expected.model.names[expected.colour[spot]], sprue=sprue
+        ),
         at_px=(float(at[0]), float(at[1])) if np.isfinite(at).all() else None,
     )
 

@@ -7,6 +7,7 @@ from typing import Any
 from phytac_design.core.html import figure, page, svg_figure, table
 from phytac_design.design.shell_materials import shell_words
 from phytac_design.design.spec import Design
+from phytac_design.fabrication.documents.bill_of_materials import shell_file
 from phytac_design.fabrication.documents.recipe import Recipe, parts_g
 from phytac_design.fabrication.switch_set import SwitchSet
 
@@ -48,6 +49,45 @@ def bill_table(rows: Sequence[Mapping[str, Any]]) -> str:
     return table(head, body)
 
 
+def colouring_steps(design: Design, count: int) -> list[str]:
+    """Steps in which ``count`` receptors get their colours."""
+    receptor = design.receptor
+    colours = " and ".join(dict.fromkeys(design.layout.colours))
+    if receptor.colouring == "multi-material":
+        return [f"End faces and bands come out of the printer {colours}; nothing is painted."]
+    if receptor.has_inserts:
+        return [
+            (
+                f"Print inserts/*.stl in {colours} resin, bars on the bed; wash, look through "
+                "every insert, and cure."
+            ),
+            (
+                "Sort the sprues by their labels. bench/paint_map.pdf, seen from outside and "
+                "wrapped around the shell, has each label beside the receptor that its first "
+                "insert goes into; inserts/placement.csv lists all."
+            ),
+            (
+                "Push a sprue's inserts in from outside, one after another from the label on, "
+                "while its bar bends around the shell, until every head lies in its seat. Sprues "
+                'marked "single" in the list: break the inserts off and push them in one by one.'
+            ),
+            (
+                "Cut the necks flush with a flush cutter, take the bar off, put a drop of clear "
+                "resin on each head, wipe the outer face and cure it. Neither resin nor leftover "
+                "necks may stay in the holes or under the bowls."
+            ),
+            "Take a photo and run `phytac inspect --step painted`: it names missing inserts.",
+        ]
+    return [
+        (
+            f"Paint {count} receptors {colours} as bench/paint_map.pdf shows: end face and last "
+            f"{receptor.band_marker_mm:g} mm of the side. The pages seen from inside are "
+            "for the pen; the pages seen from outside are wrapped around the shell to check."
+        ),
+        "Or print shell/shell.3mf in several materials: then nothing is painted.",
+    ]
+
+
 def _listed(items: Sequence[str]) -> str:
     return "<ol>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ol>"
 
@@ -83,20 +123,14 @@ def assembly_html(
     section : str
         SVG of a section through a receptor.
     """
-    colours = " and ".join(dict.fromkeys(design.layout.colours))
     shell = [
         (
-            f"Print shell/shell.stl in {shell_words(design.material.modulus_MPa)} as "
+            f"Print {shell_file(design)} in {shell_words(design.material.modulus_MPa)} as "
             "shell/print_report.svg shows, or its pieces and glue them on their keys; wash and "
             "cure resin"
             f"{'; look through every hole' if recipe else ''}."
         ),
-        (
-            f"Paint {count} receptors {colours} as bench/paint_map.pdf shows: end face and last "
-            f"{design.receptor.band_marker_mm:g} mm of the side. The pages seen from inside are "
-            "for the pen; the pages seen from outside are wrapped around the shell to check."
-        ),
-        "Or print shell/shell.3mf in several materials: then nothing is painted.",
+        *colouring_steps(design, count),
     ]
     lead = f'<p class="foot">{escape(design.description)}</p>'
     shown = "".join(figure(data, caption) for caption, data in pictures.items())

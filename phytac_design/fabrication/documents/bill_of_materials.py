@@ -19,12 +19,23 @@ def bought(name: str, count: int, note: str, material: str = "consumable") -> di
     return bill_part(name, count=count, material=material, note=note)
 
 
+def shell_file(design: Design) -> str:
+    """File that the shell is printed from."""
+    several = design.receptor.colouring == "multi-material"
+    return f"shell/shell.{'3mf' if several else 'stl'}"
+
+
 def shell_parts(
     design: Design, volume_mm3: float, pieces: Sequence[Mapping[str, Any]] = ()
 ) -> list[dict[str, Any]]:
     """The printed shell, or its ``pieces`` (file, volume_mm3), and the pens for its markers."""
     material = shell_words(design.material.modulus_MPa)
-    note = f"{material}; or shell/shell.3mf in several materials, then nothing is painted"
+    colouring = design.receptor.colouring
+    note = {
+        "paint": f"{material}; or shell/shell.3mf in several materials, then nothing is painted",
+        "insert": f"{material}; its markers are the inserts",
+        "multi-material": f"{material} and resins of the markers' colours",
+    }[colouring]
     printed = [
         bill_part(
             f"shell, piece {number}",
@@ -33,10 +44,16 @@ def shell_parts(
             note=f"{material}; glued on its keys",
         )
         for number, piece in enumerate(pieces, start=1)
-    ] or [bill_part("shell", file="shell/shell.stl", volume_mm3=volume_mm3, note=note)]
-    colours = dict.fromkeys(design.layout.colours)
-    pens = [bought(f"marker pen, {name}", 1, "end faces and bands") for name in colours]
-    return [*printed, *pens]
+    ] or [bill_part("shell", file=shell_file(design), volume_mm3=volume_mm3, note=note)]
+    more = []
+    if colouring == "paint":
+        colours = dict.fromkeys(design.layout.colours)
+        more = [bought(f"marker pen, {name}", 1, "end faces and bands") for name in colours]
+    elif design.reference_marks.count:
+        more = [bought(f"marker pen, {design.layout.colours[0]}", 1, "reference marks")]
+    if design.receptor.has_inserts:
+        more.append(bought("clear UV resin", 1, "a drop on each insert; cured by a lamp"))
+    return [*printed, *more]
 
 
 def switch_parts(switches: SwitchSet) -> list[dict[str, Any]]:

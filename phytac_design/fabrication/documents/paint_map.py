@@ -12,6 +12,7 @@ from phytac_design.core.figures import new_figure
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.bill import csv_text
 from phytac_design.fabrication.documents.unroll import UnrolledSurface, unroll
+from phytac_design.fabrication.inserts.sprues import plan_sprues
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
@@ -52,6 +53,8 @@ class PaintMap:
         What each marker and its switch are called.
     paint : tuple of str
         Paint of each marker.
+    sprues : tuple of (int, str)
+        First marker of each sprue of inserts, and its label.
     marks_mm : (r, 2) float
         Centres of the reference marks on the map, beyond the outline of the sensing surface.
     text_mm : float
@@ -66,6 +69,7 @@ class PaintMap:
     number: tuple[str, ...]
     switch: tuple[str, ...]
     paint: tuple[str, ...]
+    sprues: tuple[tuple[int, str], ...]
     marks_mm: FloatArray
     text_mm: float
 
@@ -111,6 +115,9 @@ def make_map(sensor: Sensor, switches: SwitchSet) -> PaintMap:
         number=marker_numbers(markers),
         switch=switch_labels(switches) or ("",) * markers.count,
         paint=tuple(names[k] for k in markers.colour),
+        sprues=tuple((one.markers[0], one.label) for one in plan_sprues(sensor))
+        if design.receptor.has_inserts
+        else (),
         marks_mm=_marks(unrolled, sensor),
         text_mm=float(np.clip(text_share * nearest, 0.9, 1.7)),
     )
@@ -232,8 +239,17 @@ def draw_map(axes: Any, drawn: PaintMap) -> None:
         discs(axes, drawn.place_mm, tip, facecolors=INKS["red"])
     for marker, at in enumerate(drawn.place_mm):
         names(marker, at, "#000000")
+    for marker, text in drawn.sprues:
+        place = drawn.place_mm[marker] + [radius + 0.4 * size, -0.4 * size]
+        write(axes, place.tolist(), text, 1.2 * size, fontweight="bold")
+    _draw_marks(axes, drawn)
+
+
+def _draw_marks(axes: Any, drawn: PaintMap) -> None:
+    """Draw the reference marks with their names; nothing without."""
     if not len(drawn.marks_mm):
         return
+    size = drawn.text_mm
     across = drawn.design.reference_marks.diameter_mm
     discs(axes, drawn.marks_mm, across / 2.0, facecolors=INKS[drawn.design.layout.colours[0]])
     for mark, at in enumerate(drawn.marks_mm):
@@ -337,8 +353,9 @@ def _frame(
     side_bar_mm = 50
     design = drawn.design
     side = "seen from inside (mirrored)" if inside else "seen from outside"
+    title = "map of inserts" if design.receptor.has_inserts else "paint map"
     left, top, foot = MARGIN_mm, MARGIN_mm, height - MARGIN_mm
-    write(axes, (left, top + 4.0), f"{design.name}: paint map, {side}, 1:1", 4.0)
+    write(axes, (left, top + 4.0), f"{design.name}: {title}, {side}, 1:1", 4.0)
     here = (width - MARGIN_mm, top + 4.0)
     write(axes, here, sheet, 3.5, horizontalalignment="right")
     for row, text in enumerate(map_notes(drawn)):
@@ -372,13 +389,19 @@ def map_notes(drawn: PaintMap) -> Sequence[str]:
             "Print at 100 % (no fitting); both bars must measure true. Above each marker: "
             f"{number}{below}. At the bottom: {bottom}."
         ),
-        (
-            f"Paint end face and last {design.receptor.band_marker_mm:g} mm of each receptor"
-            f"{tips}. Orange dashes: seams; grey: seen again across a seam."
-        ),
+        f"{_colouring_note(design)}{tips}. Orange dashes: seams; grey: seen again across a seam.",
         f"Outer face {unrolled.note}; {scale}.",
         *_mark_notes(design),
     )
+
+
+def _colouring_note(design: Design) -> str:
+    """How the receptors get their colours."""
+    if design.receptor.has_inserts:
+        return "In bold, beside its first insert: the label of a sprue"
+    if design.receptor.colouring == "multi-material":
+        return "Receptors are printed in these colours"
+    return f"Paint end face and last {design.receptor.band_marker_mm:g} mm of each receptor"
 
 
 def _mark_notes(design: Design) -> Sequence[str]:

@@ -5,6 +5,7 @@ import numpy as np
 from phytac_design.core.figures import svg
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.paint_map import INKS, POINTS, sheet_of_paper, write
+from phytac_design.fabrication.inserts.insert_solids import insert_profile
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 
@@ -33,6 +34,11 @@ def section_svg(
         axes.fill(*np.transpose(points), facecolor=ink, edgecolor="#000000", linewidth=0.2 * POINTS)
 
     for side in (-1.0, 1.0):
+        if receptor.has_inserts:
+            shell, insert = _insert_section(design, wall, tall, half)
+            fill([(side * x, y) for x, y in shell], resin)
+            fill([(side * x, y) for x, y in insert], INKS[colour])
+            continue
         for far, low, high, ink in (
             (half, 0.0, wall, resin),
             (outer, wall, end - band, resin),
@@ -47,9 +53,22 @@ def section_svg(
     words = (
         (-0.6 * top, f"switch {switches.label(kind)}, {switches.family(kind[0])} outside"),
         (0.5 * wall, f"glue under the {switches.family(kind[0])}'s rim"),
-        (end - 0.5 * band, f"painted {colour}"),
+        (end - 0.5 * band, f"{'insert,' if receptor.has_inserts else 'painted'} {colour}"),
         (end + 0.9, "red tip, towards the inside"),
     )
     for y, text in words:
         write(axes, (half + 1.0, y), text, 5.0)
     return svg(figure)
+
+
+def _insert_section(
+    design: Design, wall: float, tall: float, half: float
+) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """Corners (x, y) mm of the shell and of the insert, right of the axis."""
+    receptor = design.receptor
+    bore, seat = receptor.diameter_bore_mm / 2.0, receptor.diameter_seat_mm / 2.0
+    tube, foot = receptor.diameter_tube_mm / 2.0, wall + max(tall - receptor.band_marker_mm, 0.0)
+    shell = [(seat, 0.0), (half, 0.0), (half, wall), (tube, wall), (tube, foot)]
+    shell += [(bore, foot), (bore, receptor.depth_seat_mm)]
+    insert = [(float(x), float(y)) for x, y in insert_profile(receptor, wall + tall)]
+    return shell, insert

@@ -4,6 +4,7 @@ Counts are those of the bill of materials without the calibration kit and withou
 Switches are not solved: the molds are planned, and the rubber is estimated, with nominal ones.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,6 +15,8 @@ from phytac_design.fabrication.documents.bill_of_materials import mass_g, optics
 from phytac_design.fabrication.effort.shell_estimate import shell_pieces, shell_volume_mm3
 from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
 from phytac_design.fabrication.hardware.parts import HardwareAssembly
+from phytac_design.fabrication.inserts.insert_solids import sprue_volume_mm3
+from phytac_design.fabrication.inserts.sprues import Sprue, plan_sprues, plates
 from phytac_design.fabrication.molds.estimate import MoldVolumes, mold_volumes
 from phytac_design.fabrication.molds.make import MAKERS, plan_molds
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches
@@ -30,6 +33,7 @@ PARTS = {
     "molds": "printed, molds",
     "hardware": "printed, hardware",
     "silicone": "silicone halves, cast",
+    "sprues": "sprues of inserts",
     "switches": "switches",
     "screws": "screws and inserts",
     "bought": "cameras and lights",
@@ -38,6 +42,7 @@ PARTS = {
 OPERATIONS = {
     "print": "printing, washing, curing",
     "paint_ends": "painting receptor ends",
+    "insert": "pushing inserts in",
     "silicone": "silicone molds",
     "cast": "casting switches",
     "trim": "trimming switches",
@@ -46,7 +51,7 @@ OPERATIONS = {
     "assemble": "assembling hardware",
 }
 """Operations, in words."""
-PAINT_AND_GLUE = ("paint_ends", "paint_tips", "glue")
+PAINT_AND_GLUE = ("paint_ends", "insert", "paint_tips", "glue")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,11 +68,13 @@ class Effort:
         Sets of plates or trays; each is cast once.
     receptor_ends : int
         Ends that are painted by hand.
+    inserts : int
+        Coloured inserts that are pushed in from outside.
     hours : dict
         Hand work by operation (see ``OPERATIONS``).
     volume_mm3, mass_g : dict
-        Of ``shell``, ``molds`` (plates or trays), ``rubber`` (with what runs over) and
-        ``silicone``. Other printed parts are not estimated.
+        Of ``shell``, ``inserts`` with their sprues, ``molds`` (plates or trays), ``rubber`` (with
+        what runs over) and ``silicone``. Other printed parts are not estimated.
     tools : tuple of str
         What is needed besides parts and materials.
     price : float or None
@@ -82,6 +89,7 @@ class Effort:
     switch_kinds: int
     castings: int
     receptor_ends: int
+    inserts: int
     hours: dict[str, float]
     volume_mm3: dict[str, float]
     mass_g: dict[str, float]
@@ -97,7 +105,7 @@ class Effort:
     @property
     def parts_printed(self) -> int:
         """Those that are printed."""
-        return self.parts["shell"] + self.parts["molds"] + self.parts["hardware"]
+        return sum(self.parts[name] for name in ("shell", "sprues", "molds", "hardware"))
 
     @property
     def hours_total(self) -> float:
@@ -135,8 +143,10 @@ def effort_of(sensor: Sensor) -> Effort:
     bought = optics_parts(design, listed=bool(kit.parts))
     silicone = design.mold.way == "silicone-master"
     inserts = sum(len(joint.seats_mm) for joint in kit.joints if joint.thread == "heat-set")
+    sprues = plan_sprues(sensor) if design.receptor.has_inserts else []
     parts = {
         "shell": shell_pieces(sensor),
+        "sprues": len(sprues),
         "molds": len(molds) * len(MAKERS[design.mold.way]),
         "hardware": sum(part.printed for part in kit.parts),
         "silicone": 2 * len(molds) * silicone,
@@ -148,13 +158,18 @@ def effort_of(sensor: Sensor) -> Effort:
     ends = count if design.receptor.colouring == "paint" else 0
     volumes = {
         "shell": shell_volume_mm3(sensor),
+        "inserts": sum(sprue_volume_mm3(design, sprue) for sprue in sprues),
         "molds": sum(one.printed_mm3 for one in molds),
         "rubber": sum(one.rubber_mm3 for one in molds),
         "silicone": sum(one.silicone_mm3 for one in molds),
     }
-    hours = _hours(design, parts, ends=ends, castings=len(molds))
-    material = {"shell": "resin", "molds": "resin", "rubber": "tpu", "silicone": "silicone"}
-    masses = {name: mass_g(material[name], volume) or 0.0 for name, volume in volumes.items()}
+    beds = sum(map(len, plates(sprues, design).values()))
+    hours = _hours(design, parts, ends=ends, castings=len(molds), beds=beds)
+    hours["insert"] = _insert_s(design, sprues) / 3600.0
+    poured = {"rubber": "tpu", "silicone": "silicone"}
+    masses = {
+        name: mass_g(poured.get(name, "resin"), volume) or 0.0 for name, volume in volumes.items()
+    }
     return Effort(
         parts=parts,
         switches=switches,
@@ -162,7 +177,8 @@ def effort_of(sensor: Sensor) -> Effort:
         switch_kinds=kinds,
         castings=len(molds),
         receptor_ends=ends,
-        hours=hours,
+        inserts=count if sprues else 0,
+        hours={name: hours[name] for name in OPERATIONS},
         volume_mm3=volumes,
         mass_g=masses,
         tools=_tools(design, parts, ends),
@@ -216,11 +232,22 @@ def _hardware(sensor: Sensor) -> HardwareAssembly:
         return HardwareAssembly()
 
 
-def _hours(design: Design, parts: dict[str, int], *, ends: int, castings: int) -> dict[str, float]:
-    """Hand work by operation, h."""
+def _insert_s(design: Design, sprues: Sequence[Sprue]) -> float:
+    """Seconds for which inserts are pushed in, single ones where their sprue does not bend."""
+    each = design.effort
+    return sum(
+        each.sprue_s + len(one.markers) * (each.insert_s if one.bends else each.insert_single_s)
+        for one in sprues
+    )
+
+
+def _hours(
+    design: Design, parts: dict[str, int], *, ends: int, castings: int, beds: int
+) -> dict[str, float]:
+    """Hand work by operation, h; sprues are printed by ``beds``."""
     each = design.effort
     seconds = {
-        "print": (parts["shell"] + parts["molds"] + parts["hardware"]) * each.print_s,
+        "print": (parts["shell"] + parts["molds"] + parts["hardware"] + beds) * each.print_s,
         "paint_ends": ends * each.paint_s,
         "silicone": 0.5 * parts["silicone"] * each.silicone_s,
         "cast": castings * each.cast_s,
@@ -238,7 +265,7 @@ def _price(design: Design, hours: float, masses: dict[str, float]) -> float | No
     each = design.effort
     items = (
         (each.price_hour, hours),
-        (each.price_resin_kg, (masses["shell"] + masses["molds"]) / 1000.0),
+        (each.price_resin_kg, (masses["shell"] + masses["inserts"] + masses["molds"]) / 1000.0),
         (each.price_rubber_kg, masses["rubber"] / 1000.0),
         (each.price_silicone_kg, masses["silicone"] / 1000.0),
         (each.price_camera, len(design.camera.end_numbers)),
@@ -257,6 +284,8 @@ def _tools(design: Design, parts: dict[str, int], ends: int) -> tuple[str, ...]:
     pens += ["red"] if parts["switches"] else []
     if pens:
         out.append(f"marker pens ({', '.join(pens)})")
+    if parts["sprues"]:
+        out.append("flush cutter")
     if parts["screws"]:
         out.append("hexagon keys")
     return tuple(out)

@@ -17,7 +17,13 @@ def shell_volume_mm3(sensor: Sensor) -> float:
     design, surface = sensor.design, sensor.surface
     wall, receptor, height_mm = design.wall, design.receptor, sensor.markers.height_mm
     volume = surface.area_mm2(-wall.thickness_mm / 2.0) * wall.thickness_mm
-    outer, hole = receptor.diameter_outer_mm / 2.0, receptor.diameter_hole_mm / 2.0
+    outer, hole = receptor.diameter_tube_mm / 2.0, receptor.diameter_bore_mm / 2.0
+    if receptor.has_inserts:
+        height_mm = np.maximum(height_mm - receptor.band_marker_mm, 0.0)
+        # What a seat's cone takes beside the bore.
+        seat, depth = receptor.diameter_seat_mm / 2.0, receptor.depth_seat_mm
+        cone = depth * ((seat**2 + seat * hole + hole**2) / 3.0 - hole**2)
+        volume -= np.pi * cone * len(height_mm)
     volume += np.pi * float(((outer**2 - hole**2) * height_mm).sum())
     volume -= np.pi * hole**2 * wall.thickness_mm * len(height_mm)
     return float(

@@ -20,7 +20,8 @@ of 120 mm). Keys:
 ``lines``
     Ends of line pieces (m, 2, 3): the cameras' fields of view.
 ``tubes``
-    ``foot`` and ``tip`` (n, 3), ``band_mm``, ``radius_mm``, ``hole_mm`` (radii).
+    ``foot`` and ``tip`` (n, 3), ``band_mm``, ``radius_mm``, ``tube_mm`` below the band,
+    ``hole_mm`` (radii).
 ``markers``
     ``names`` (n), ``paint`` (n) ``uint8``, an index into ``paints`` (``name``, ``colour``).
 ``map``
@@ -191,6 +192,7 @@ def viewer_data(
             "tip": box.pack(markers.tip_mm),
             "band_mm": design.receptor.band_marker_mm,
             "radius_mm": design.receptor.diameter_outer_mm / 2.0,
+            "tube_mm": design.receptor.diameter_tube_mm / 2.0,
             "hole_mm": design.receptor.diameter_hole_mm / 2.0,
         },
         "markers": {

@@ -133,9 +133,9 @@
         return ring;
       };
       const band = l => Math.max(l - t.band_mm, 0), hole = Math.min(t.hole_mm / t.radius_mm, 0.98);
-      const put = (shape, colour, from, to) =>
-        along(shape, colour, foot, axis, length, from, to, t.radius_mm);
-      put(rod, "#c9c4bb", () => 0, band);
+      const put = (shape, colour, from, to, radius = t.radius_mm) =>
+        along(shape, colour, foot, axis, length, from, to, radius);
+      put(rod, "#c9c4bb", () => 0, band, t.tube_mm);
       put(flat(0, hole), "#3a3a3a", l => l - 0.02, l => l);
       painted = [put(rod, "#ffffff", band, l => l), put(flat(hole, 1), "#ffffff", l => l, l => l)];
       const ring = new T.CylinderGeometry(1.5 * t.radius_mm, 1.5 * t.radius_mm, 1.2 * t.radius_mm, 24);

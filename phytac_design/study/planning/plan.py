@@ -27,6 +27,7 @@ LOST = {
     "hardware": "no camera mount, cover, bar or connector",
     "mold": "no molds",
     "kit": "no calibration kit",
+    "inserts": "no coloured inserts, if the design has them",
     "printing": "print rules are not checked",
     "bench": "no paint map, bill of materials or recipe",
     "mesh": "no mesh for other solvers",
@@ -231,6 +232,7 @@ def how_of(name: str, resolved: Resolved, counts: Counts) -> str:
     solid = f"{counts.markers} receptors, chords within {accuracy.cad_tolerance_mm:g} mm"
     texts = dict.fromkeys(("shell", "hardware", "mold", "kit", "printing", "bench"), solid) | {
         "views": f"{counts.markers} markers, {counts.megapixels:.1f} Mpx, {pictures}",
+        "inserts": solid if resolved.design.receptor.has_inserts else "none",
         "underload": f"{counts.presses} presses on {counts.nodes} nodes, {theory}",
         "resolution": f"{played}, {counts.nodes} nodes",
         "mesh": f"{counts.nodes} nodes",

@@ -24,7 +24,7 @@ GROUPS = (
     ("views", "switch", "compare"),
     ("mesh", "response", "resolution", "places"),
     ("underload",),
-    ("shell", "step", "hardware", "mold", "kit", "printing", "bench"),
+    ("shell", "step", "hardware", "mold", "kit", "inserts", "printing", "bench"),
     ("twin", "decoder"),
     ("renders", "frames", "report"),
 )
