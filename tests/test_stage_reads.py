@@ -177,15 +177,16 @@ def test_stages_read_what_they_say(trace: Trace, tmp_path: Path) -> None:
     assert "layout.colours" not in trace.reads["step"] | trace.reads["mesh"]
 
 
-@pytest.mark.parametrize("name", ["scattered", "sight", "two cameras"])
+@pytest.mark.parametrize("name", ["scattered", "sight", "two cameras", "inserts"])
 def test_other_layouts_read_what_they_say(trace: Trace, tmp_path: Path, name: str) -> None:
     design = {
         "scattered": lambda: changed("hemisphere", layout={"count": 30}, camera=CAMERA),
         "sight": lambda: tiny(layout={"heights": "line-of-sight"}),
         "two cameras": lambda: tiny(camera={"ends": "both"}),
+        "inserts": lambda: tiny(receptor={"colouring": "insert"}),
     }[name]()
     stages = {"views", "compare", "shell", "mesh", "response", "places", "resolution", "underload"}
-    watch(design, trace, tmp_path, stages)
+    watch(design, trace, tmp_path, stages | ({"inserts"} if name == "inserts" else set()))
     assert undeclared(design, trace) == {}
 
 

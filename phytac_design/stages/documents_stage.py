@@ -10,7 +10,13 @@ from phytac_design.design.switch_table import BEST
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.documents import bill_of_materials as bill
 from phytac_design.fabrication.documents.assembly_page import assembly_html, fixture_steps
-from phytac_design.fabrication.documents.exploded import Body, part_colour, picture, switch_bodies
+from phytac_design.fabrication.documents.exploded import (
+    Body,
+    insert_bodies,
+    part_colour,
+    picture,
+    switch_bodies,
+)
 from phytac_design.fabrication.documents.paint_map import (
     make_map,
     marks_csv,
@@ -133,10 +139,13 @@ def pictures(context: Context) -> dict[str, bytes]:
             for name, (mesh, shift) in parts.items()
         ]
         out["Shell, camera, light and their holders, pulled apart."] = picture(bodies)
-    if not context.design.has_switches:
-        return out
     stl = context.folders["shell"] / EXPORT / "shell/shell.stl"
     shell = Body(mesh=read_stl(stl), colour=DISPLAY_COLOURS["resin"][:3])
+    if context.design.receptor.has_inserts:
+        inserts = insert_bodies(context.sensor, pull_mm)
+        out[f"Shell and {markers.count} inserts, pulled out."] = picture([shell, *inserts])
+    if not context.design.has_switches:
+        return out
     switches = switch_bodies(context.surface, markers, switches_of(context), pull_mm)
     out[f"Shell and {markers.count} switches, pulled out."] = picture([shell, *switches])
     return out

@@ -8,12 +8,16 @@ import numpy as np
 
 from phytac_decoder.camera.camera import Camera, pinhole
 from phytac_design.fabrication.hardware.sensor_solids import switch_frames
+from phytac_design.fabrication.inserts.insert_solids import insert_manifold
+from phytac_design.fabrication.inserts.sprues import insert_lengths_mm
 from phytac_design.fabrication.switch_set import SwitchSet, revolve
-from phytac_design.geometry.triangles import TriangleMesh, copies, merged
+from phytac_design.geometry.triangles import TriangleMesh, copies, frames_along, merged
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import RenderScene
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS
+from phytac_design.solids.solid_mesh import to_triangles
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
@@ -59,6 +63,21 @@ def switch_bodies(
         profile = [[0.0, low + tip_mm], [radius, low + tip_mm], [radius, low], [0.0, low]]
         tip = revolve(np.array(profile), coarse_mm)
         bodies.append(Body(mesh=copies(tip, origin[own], turn[own]), colour=red))
+    return bodies
+
+
+def insert_bodies(sensor: Sensor, pull_mm: float) -> list[Body]:
+    """All inserts in their colours, moved out along their receptors' axes by ``pull_mm``."""
+    coarse_mm = 0.1  # accuracy of inserts in pictures
+    design, markers = sensor.design, sensor.markers
+    origin = sensor.surface.point(markers.uv) - pull_mm * markers.direction
+    turn, lengths = frames_along(markers.direction), insert_lengths_mm(design, markers)
+    bodies = []
+    for length, colour in sorted(set(zip(lengths.tolist(), markers.colour.tolist(), strict=True))):
+        own = np.flatnonzero((lengths == length) & (markers.colour == colour))
+        mesh = to_triangles(insert_manifold(design.receptor, length, tolerance_mm=coarse_mm))
+        paint = getattr(design.paints, design.layout.colours[colour])
+        bodies.append(Body(mesh=copies(mesh, origin[own], turn[own]), colour=tuple(paint)))
     return bodies
 
 
