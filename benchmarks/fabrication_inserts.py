@@ -122,7 +122,7 @@ def add_printing(table: Table, name: str, painted: Sensor, made: Sensor) -> None
         note="; ".join(found[:3]) or f"{len(sprues)} sprues on {len(beds)} beds, bars down",
     )
     bent = max(sprue.strain for sprue in sprues)
-    row = f"{name}, inserts: strain of a bar that is wrapped on"
+    row = f"{name}, inserts: strain of a bar while it is pushed in"
     table.goal(row, 100.0 * bent, "%", "<= 3", note="cured standard resin breaks at 6 %")
 
 

@@ -33,6 +33,7 @@ def test_shipped_designs_can_have_inserts(name: str) -> None:
         ("insert-tube-too-thin", {"receptor": {"thickness_tube_mm": 0.39}}),
         ("insert-seat-too-deep", {"wall": {"thickness_mm": 0.79}}),
         ("footprint-below-seat", {"switch": {"footprint_diameter_mm": 4.0}}),
+        ("insert-too-slender", {"print_rules": {"post_tall_mm": (9.0, 20.0)}}),
         ("sprue-exceeds-bed", {"print_rules": {"bed_mm": (12.0, 12.0, 175.0)}}),
         ("insert-leans", {"receptor": {"direction": "tilted", "tilt_deg": 2.0}}),
         (

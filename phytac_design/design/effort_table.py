@@ -16,12 +16,12 @@ class EffortSection(Section):
     paint_s: float = assumed(20.0, ge=0.0, le=1e6)
     """A receptor's end face and band, inside the shell: find it on the paint map, paint it."""
     sprue_s: float = assumed(30.0, ge=0.0, le=1e6)
-    """A sprue of inserts: find its row, wrap it on, break its bar off, look for leftover necks."""
+    """A sprue of inserts: find its row or column, break its bar off, look for leftover necks."""
     insert_s: float = assumed(6.0, ge=0.0, le=1e6)
     """An insert on its sprue: push it in, put a drop of glue on it. Boothroyd and Dewhurst allow
     4 s for a part that is easy to hold and snaps in; 2 s are for the glue."""
     insert_single_s: float = assumed(12.0, ge=0.0, le=1e6)
-    """An insert whose sprue does not follow the wall: break it off, find its receptor as well."""
+    """An insert that is broken off its sprue first, and whose receptor is next to the last one."""
     silicone_s: float = assumed(2700.0, ge=0.0, le=1e6)
     """Both silicone halves of a set of trays: weigh, mix, degas, pour, take off, test."""
     cast_s: float = assumed(1710.0, ge=0.0, le=1e6)

@@ -5,7 +5,7 @@ import numpy as np
 from phytac_design.design.safe_rounding import at_least
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.inserts.sprue_sizes import neck_mm, ring_mm
-from phytac_design.fabrication.inserts.sprues import sprue_room_mm
+from phytac_design.fabrication.inserts.sprues import insert_lengths_mm, sprue_room_mm
 from phytac_design.layout.receptor_distances import nearest_pair
 from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.refusal import SLACK_mm, fewer, refuse
@@ -24,6 +24,7 @@ def check_inserts(sensor: Sensor) -> None:
         return
     _check_fits(design)
     _check_seats(sensor)
+    _check_slenderness(sensor)
     sprue_room_mm(design)
     neck, ring = neck_mm(design.print_rules), ring_mm(design.receptor)
     if neck > ring + SLACK_mm:
@@ -33,6 +34,20 @@ def check_inserts(sensor: Sensor) -> None:
             f"inserts' heads {ring:.2f} mm around the hole; raise receptor.diameter_outer_mm to "
             f"{at_least(design.receptor.diameter_outer_mm + 2.0 * (neck - ring))}, or set "
             'receptor.colouring = "paint"',
+        )
+
+
+def _check_slenderness(sensor: Sensor) -> None:
+    """Check that the longest insert can be printed upright."""
+    design, rules = sensor.design, sensor.design.print_rules
+    longest = float(insert_lengths_mm(design, sensor.markers).max(initial=0.0))
+    outer, least = design.receptor.diameter_outer_mm, rules.post_diameter_mm(longest)
+    if outer < least - SLACK_mm:
+        refuse(
+            "insert-too-slender",
+            f"an insert {longest:.1f} mm long is too slender to print ({outer:g} mm < {least:.2f} "
+            f"mm); raise receptor.diameter_outer_mm to {at_least(least)} or lower "
+            "layout.height_far_mm",
         )
 
 

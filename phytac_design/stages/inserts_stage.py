@@ -42,7 +42,7 @@ def run(context: Context, folder: Path) -> None:
         {
             "parts": parts,
             "sprues": len(sprues),
-            "sprues_single": sum(not sprue.bends for sprue in sprues),
+            "sprues_single": sum(sprue.way == "single" for sprue in sprues),
             "strain": max(sprue.strain for sprue in sprues),
             "fits_mm": fits_of(context.sensor).as_dict(),
         },

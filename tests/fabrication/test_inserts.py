@@ -22,7 +22,7 @@ from phytac_design.fabrication.inserts.insert_solids import (
 from phytac_design.fabrication.inserts.sprue_sizes import sprue_sizes
 from phytac_design.fabrication.inserts.sprues import (
     STRAIN_MAX,
-    Sprue,
+    developed,
     insert_lengths_mm,
     plan_sprues,
     plates,
@@ -85,34 +85,42 @@ def test_each_marker_has_one_insert_of_its_colour_and_length(name: str) -> None:
         assert (sprue.length_mm == lengths[ids]).all()
         size = np.ptp(sprue.size_mm(sizes, one.design.receptor.diameter_head_mm), axis=0)
         assert size[0] <= max(one.design.print_rules.bed_mm[:2])
-        assert not sprue.bends or sprue.strain <= STRAIN_MAX
+        assert sprue.strain <= STRAIN_MAX
     # From outer face to end face, for axes square to the wall.
     outer = one.surface.point(one.markers.uv)
     assert lengths == pytest.approx(np.linalg.norm(one.markers.tip_mm - outer, axis=1), abs=1e-3)
 
 
-def _wrapped(sprues: list[Sprue]) -> Sprue:
-    return next(sprue for sprue in sprues if len(sprue.markers) > 5)
-
-
 def test_a_bar_keeps_the_length_of_its_line_on_the_wall() -> None:
     one = shipped("cylinder60")
-    sprue = _wrapped(plan_sprues(one))
-    assert len(plan_sprues(one)) == 32  # 16 columns, each in two pieces
+    sizes = sprue_sizes(one.design.receptor, one.design.print_rules)
+    column = one.markers.uv[one.markers.column == 3]
+    place, strain = developed(one.surface, column, sizes, "column")
     # A helix at 50.5 degrees over the wall is straight when the cylinder is unrolled.
     radius = 30.0 + 1.0 + 0.3
-    step = np.ptp(one.surface.unwrap(one.markers.uv[np.array(sprue.markers[:2])]), axis=0)
     rows = 120.0 / 23.0
     around = rows * np.tan(np.radians(50.5)) / 30.0 * radius
-    assert step.max() > 0.0
-    gaps = np.linalg.norm(np.diff(sprue.place_mm, axis=0), axis=1)
-    assert gaps == pytest.approx(np.full(len(gaps), np.hypot(rows, around)), rel=1e-4)
-    assert np.abs(sprue.place_mm[:, 1]).max() < 1e-6
+    steps = np.diff(place, axis=0)
+    gaps = np.linalg.norm(steps, axis=1)
+    assert gaps == pytest.approx(np.full(22, np.hypot(rows, around)), rel=1e-4)
+    assert steps == pytest.approx(np.tile(steps[0], (22, 1)), abs=1e-6)
     # Bending by sin^2 and twisting by sin cos of the angle, over the radius.
     slope = np.arctan2(around, rows)
     bend = 0.3 * np.sin(slope) ** 2 / radius
     twist = 0.6 * np.sin(slope) * np.cos(slope) / radius
-    assert sprue.strain == pytest.approx(np.hypot(bend, twist / np.sqrt(3.0)), rel=2e-3)
+    assert strain == pytest.approx(np.hypot(bend, twist / np.sqrt(3.0)), rel=2e-3)
+
+
+def test_how_inserts_go_in_follows_from_bores_and_lengths() -> None:
+    def ways(layout: dict[str, Any]) -> set[str]:
+        return {sprue.way for sprue in plan_sprues(shipped("cylinder60", layout=layout))}
+
+    # Bores along the axis are parallel; along a helix they are not, and the next insert would have
+    # to come out of the wall by 12 mm on 8 mm of bar.
+    assert ways({"kind": "straight"}) == {"together"}
+    assert ways({}) == {"single"}
+    short = {"heights": "constant", "columns": 6, "rows": 8}
+    assert ways(short) == {"wrapped"}
 
 
 def test_a_bar_on_a_cone_is_an_arc() -> None:
@@ -129,7 +137,11 @@ def test_a_bar_on_a_cone_is_an_arc() -> None:
         )
     )
     (sprue,) = plan_sprues(one)
+    assert sprue.way == "wrapped"
     x, y = sprue.place_mm.T
+    lift = 3.0 * 0.6 * 1.3 / (np.diff(x[:2]) ** 2 + np.diff(y[:2]) ** 2)
+    rim = 0.3 / np.hypot(*one.surface.point(one.markers.uv, 1.3)[0, :2])
+    assert sprue.strain == pytest.approx(float(lift[0]) + rim, rel=0.02)
     # Circle through the places: its radius is the slant distance of the row from the apex.
     matrix = np.column_stack([x, y, np.ones_like(x)])
     a, b, c = np.linalg.lstsq(matrix, x**2 + y**2, rcond=None)[0]
@@ -137,6 +149,14 @@ def test_a_bar_on_a_cone_is_an_arc() -> None:
     half = np.arctan(12.0 / 90.0)
     place = one.surface.point(one.markers.uv, 1.3)[0]
     assert radius == pytest.approx(np.hypot(*place[:2]) / np.sin(half), rel=2e-3)
+    # On the bed the inserts point up, as they point inwards on the wall: the bar bends to the same
+    # side.
+    ids = np.array(sprue.markers)
+    first, second = np.diff(one.surface.point(one.markers.uv[ids[:3]]), axis=0)
+    bed = np.diff(sprue.place_mm[:3], axis=0)
+    side = bed[0, 0] * bed[1, 1] - bed[0, 1] * bed[1, 0]
+    inwards = one.markers.direction[ids[1]] @ np.cross(first, second)
+    assert side * inwards > 0.0
 
 
 def test_sprues_follow_rows_where_these_are_fewer() -> None:
@@ -159,9 +179,9 @@ def test_bars_that_would_break_carry_inserts_side_by_side() -> None:
         )
         for thickness in (0.6, 2.5)
     )
-    assert all(sprue.bends for sprue in plan_sprues(thin))
+    assert {sprue.way for sprue in plan_sprues(thin)} == {"wrapped"}
     sprues = plan_sprues(tight)
-    assert not any(sprue.bends for sprue in sprues)
+    assert {sprue.way for sprue in sprues} == {"single"}
     assert effort_of(tight).hours["insert"] == pytest.approx(
         (30.0 * len(sprues) + 12.0 * 12) / 3600.0
     )
@@ -215,9 +235,9 @@ def test_effort_counts_inserts_in_place_of_paint() -> None:
     painted, made = effort_of(Sensor(load_design("cylinder60"))), effort_of(shipped("cylinder60"))
     assert (painted.receptor_ends, made.receptor_ends) == (368, 0)
     assert (painted.inserts, made.inserts) == (0, 368)
-    assert made.parts_handled - painted.parts_handled == made.parts["sprues"] == 32
+    assert made.parts_handled - painted.parts_handled == made.parts["sprues"] == 16
     assert made.hours["paint_ends"] == 0.0
-    assert made.hours["insert"] == pytest.approx((32 * 30.0 + 368 * 6.0) / 3600.0)
+    assert made.hours["insert"] == pytest.approx((16 * 30.0 + 368 * 12.0) / 3600.0)
     # Two beds of sprues more.
     assert made.hours["print"] - painted.hours["print"] == pytest.approx(2 * 900.0 / 3600.0)
     assert made.hours_total < painted.hours_total

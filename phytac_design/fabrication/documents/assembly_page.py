@@ -67,9 +67,10 @@ def colouring_steps(design: Design, count: int) -> list[str]:
                 "insert goes into; inserts/placement.csv lists all."
             ),
             (
-                "Push a sprue's inserts in from outside, one after another from the label on, "
-                "while its bar bends around the shell, until every head lies in its seat. Sprues "
-                'marked "single" in the list: break the inserts off and push them in one by one.'
+                "Push the inserts in from outside until every head lies in its seat: those of "
+                'sprues marked "together" in the list at once, those marked "wrapped" one after '
+                "another from the label on while the bar bends around the shell, those marked "
+                '"single" one by one, each broken off the bar first.'
             ),
             (
                 "Cut the necks flush with a flush cutter, take the bar off, put a drop of clear "

@@ -1,11 +1,16 @@
-"""Which inserts are on which sprue, where on it, and which sprues bend onto the wall.
+"""Which inserts are on which sprue, where on it, and how they are pushed in.
 
-A sprue holds the inserts of one colour and one column (or row, whichever makes fewer sprues), at
-the places that they have on the wall when its bar is wrapped on. The bar's middle line is
-developed: the wall's curve through the markers, at the bar's height over it, keeps its length, and
-its sideways turn (on cones, domes) is kept in the plane. Layouts without rows, and lines along
-which the bar would break, have their inserts side by side in their order, to be broken off one by
-one.
+A sprue holds the inserts of one colour and one column or row, whichever takes less time. There are
+three ways to push them in:
+
+- ``together``: their bores are parallel, the bar is pushed towards the wall as it is;
+- ``wrapped``: one after another, while the bar bends around the wall. The next insert must come out
+  of the wall by its own length while the last one is home, which takes bars that are long between
+  two inserts, or short inserts;
+- ``single``: they are broken off one by one. They stand side by side, in their order.
+
+Bars of the first two are developed: the wall's curve through the markers, at the bar's height over
+it, keeps its length, and its sideways turn (on cones, domes) is kept in the plane.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,6 +29,7 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
+Push = Literal["together", "wrapped", "single"]
 Way = Literal["row", "column", ""]
 """Lines along which sprues hold inserts; "" where there are none."""
 
@@ -45,13 +51,13 @@ class Sprue:
     markers : tuple of int
         Markers in their order on the bar, which begins at the label.
     place_mm : (k, 2) float
-        Axes of the inserts in the plane of the bar.
+        Axes of the inserts in the plane of the bar, seen from the inserts' inner ends.
     length_mm : (k,) float
         Inserts, from the outer face to their end.
     strain : float
-        Of the bar when it lies on the wall.
-    bends : bool
-        Whether it is pushed in along the wall; else inserts are broken off first.
+        Largest of the bar while it is pushed in; 0 for ``single``.
+    way : str
+        ``together``, ``wrapped`` or ``single``.
     """
 
     label: str
@@ -60,7 +66,7 @@ class Sprue:
     place_mm: FloatArray
     length_mm: FloatArray
     strain: float
-    bends: bool
+    way: Push
 
     def size_mm(self, sizes: SprueSizes, head_mm: float) -> FloatArray:
         """Corners [[x0, y0], [x1, y1]] of the sprue on the bed, the tab included."""
@@ -88,7 +94,17 @@ def plan_sprues(sensor: Sensor) -> list[Sprue]:
     if not markers.in_rows:
         ways = [""]
     plans = [_plan(sensor, way) for way in ways]
-    return min(plans, key=lambda plan: (not all(one.bends for one in plan), len(plan)))
+    return min(plans, key=lambda plan: push_s(sensor.design, plan))
+
+
+def push_s(design: Design, sprues: Sequence[Sprue]) -> float:
+    """Seconds in which the inserts of sprues are pushed in."""
+    each = design.effort
+    return sum(
+        each.sprue_s
+        + len(one.markers) * (each.insert_single_s if one.way == "single" else each.insert_s)
+        for one in sprues
+    )
 
 
 def sprue_room_mm(design: Design) -> float:
@@ -119,15 +135,18 @@ def _plan(sensor: Sensor, way: Way) -> list[Sprue]:
     lengths = insert_lengths_mm(design, markers)
     out: list[Sprue] = []
     for name, ids in _groups(design, markers, way):
-        place, strain = _developed(sensor.surface, markers.uv[ids], sizes, way)
-        bends = bool(way) and strain <= STRAIN_MAX
-        if not bends:
+        place, strain = developed(sensor.surface, markers.uv[ids], sizes, way)
+        pieces = _cut(place, room, name, sizes)
+        pushed = [
+            _push(design, markers.direction[ids[a:b]], lengths[ids[a:b]], place[a:b], strain)
+            for a, b in pieces
+        ]
+        if not way or any(push == "single" for push, _ in pushed):
             step = design.receptor.diameter_head_mm + design.print_rules.gap_min_mm
-            place, strain = np.column_stack([step * np.arange(len(ids)), np.zeros(len(ids))]), 0.0
-        pieces = list(_pieces(place, room - sizes.letter * len(name)))
-        if len(pieces) > 1:
-            pieces = list(_pieces(place, room - sizes.letter * (len(name) + 1)))
-        for number, (start, end) in enumerate(pieces):
+            place = np.column_stack([step * np.arange(len(ids)), np.zeros(len(ids))])
+            pieces = _cut(place, room, name, sizes)
+            pushed = [("single", 0.0)] * len(pieces)
+        for number, ((start, end), (push, strain)) in enumerate(zip(pieces, pushed, strict=True)):
             own = ids[start:end]
             out.append(
                 Sprue(
@@ -137,10 +156,51 @@ def _plan(sensor: Sensor, way: Way) -> list[Sprue]:
                     place_mm=_along_x(place[start:end]),
                     length_mm=lengths[own],
                     strain=strain,
-                    bends=bends,
+                    way=push,
                 )
             )
     return out
+
+
+def _push(
+    design: Design,
+    axes: FloatArray,
+    length_mm: FloatArray,
+    place_mm: FloatArray,
+    strain: float,
+) -> tuple[Push, float]:
+    """How the inserts of a bar are pushed in, and its largest strain meanwhile.
+
+    Parameters
+    ----------
+    axes : (k, 3) float
+        Directions of the bores.
+    length_mm, place_mm : (k,) and (k, 2) float
+        Inserts, and their places on the bar.
+    strain : float
+        Of the bar on the wall.
+    """
+    thickness = sprue_sizes(design.receptor, design.print_rules).thickness
+    # A barrel may lean in its bore until it touches on both sides.
+    lean = 2.0 * design.receptor.gap_insert_mm / float(length_mm.max())
+    cosine = float(np.clip(axes @ axes.T, -1.0, 1.0).min())
+    if strain <= STRAIN_MAX and np.arccos(cosine) <= lean:
+        return "together", strain
+    # A beam, clamped at the last insert, whose end is moved out without being turned: 3 t d / l².
+    span = np.linalg.norm(np.diff(place_mm, axis=0), axis=1)
+    lift = 3.0 * thickness * length_mm[1:] / span**2
+    most = strain + float(lift.max(initial=0.0))
+    return ("wrapped", most) if most <= STRAIN_MAX else ("single", 0.0)
+
+
+def _cut(
+    place_mm: FloatArray, room_mm: float, name: str, sizes: SprueSizes
+) -> list[tuple[int, int]]:
+    """Starts and ends of the pieces of a line; those of several have one more letter."""
+    pieces = list(_pieces(place_mm, room_mm - sizes.letter * len(name)))
+    if len(pieces) > 1:
+        pieces = list(_pieces(place_mm, room_mm - sizes.letter * (len(name) + 1)))
+    return pieces
 
 
 def _groups(design: Design, markers: Markers, way: Way) -> Iterator[tuple[str, IntArray]]:
@@ -184,7 +244,7 @@ def _along_x(place_mm: FloatArray) -> FloatArray:
     return np.asarray(arm @ np.array([[cosine, -sine], [sine, cosine]]))
 
 
-def _developed(
+def developed(
     surface: Surface, uv: FloatArray, sizes: SprueSizes, way: Way, steps: int = 16
 ) -> tuple[FloatArray, float]:
     """Places (k, 2) mm of a line's markers in the plane of its bar, and the bar's greatest strain.
@@ -220,9 +280,10 @@ def _developed(
     chord = np.diff(points, axis=0)
     length = np.linalg.norm(chord, axis=1)
     unit = chord / length[:, None]
-    # Turn of the line in the tangent plane, from one chord to the next.
+    # Turn of the line in the tangent plane, from one chord to the next, seen from inside: there
+    # the inserts' ends are, which point up on the bed.
     turn = np.arctan2(
-        np.einsum("ni,ni->n", normals[1:-1], np.cross(unit[:-1], unit[1:])),
+        np.einsum("ni,ni->n", -normals[1:-1], np.cross(unit[:-1], unit[1:])),
         np.einsum("ni,ni->n", unit[:-1], unit[1:]),
     )
     heading = np.concatenate([[0.0], np.cumsum(turn)])
@@ -272,7 +333,8 @@ def placement_csv(markers: Markers, sprues: Sequence[Sprue]) -> str:
         ):
             cell = [int(markers.row[marker]), int(markers.column[marker])]
             where = cell if markers.in_rows else ["", ""]
-            way = "wrapped" if sprue.bends else "single"
-            rows.append([sprue.label, sprue.colour, way, place, marker, *where, f"{length:.3f}"])
+            rows.append(
+                [sprue.label, sprue.colour, sprue.way, place, marker, *where, f"{length:.3f}"]
+            )
     columns = "sprue colour way place marker row column length_mm"
     return csv_text(columns.split(), rows)
