@@ -199,6 +199,8 @@ def _print_turns(design: "Design") -> None:
 
 def _print_effort(effort: dict[str, Any]) -> None:
     """Parts, hand work and material, before anything is made."""
+    from phytac_design.fabrication.effort.effort import on_strips
+
     grams = {name: f"{mass:.0f} g" for name, mass in effort["mass_g"].items()}
     typer.echo(
         f"to make: {effort['parts_handled']} parts, {effort['hours_total']:.1f} h of hand work, "
@@ -213,8 +215,9 @@ def _print_effort(effort: dict[str, Any]) -> None:
         typer.echo(f"  {effort['receptor_ends']} receptor ends to paint inside the shell")
     if effort["switches"]:
         typer.echo(
-            f"  {effort['switches']} switches to cast, trim, paint and glue; stem lengths: "
-            f"{effort['stem_lengths']}, castings: {effort['castings']}"
+            f"  {effort['switches']} switches to cast, trim, paint and glue"
+            f"{on_strips(effort)}; stem lengths: {effort['stem_lengths']}, castings: "
+            f"{effort['castings']}"
         )
     typer.echo(f"  {effort['parts_printed']} printed parts; resin of the shell {grams['shell']}")
     if effort["castings"]:
@@ -222,6 +225,8 @@ def _print_effort(effort: dict[str, Any]) -> None:
             f"  molds: resin {grams['molds']}, silicone {grams['silicone']}, rubber "
             f"{grams['rubber']}"
         )
+    if effort["left_out"]:
+        typer.echo(f"  no molds: {effort['left_out']}")
     if effort["price"] is not None:
         typer.echo(f"  price, hand work included where it has one: {effort['price']:.2f}")
     typer.echo("  (times are assumed: set your own in the table [effort])")

@@ -67,12 +67,14 @@ def design_hash(design: Design) -> str:
     """Hash of the resolved design, the same for the same fields in any order.
 
     Names of regions and the effort are left out: with others it is still the same sensor. So are
-    reference marks where there are none, paints that were not measured, the family of bowls, and
-    inserts where there are none: designs from before they existed keep their hash.
+    reference marks, inserts and strips where there are none, paints that were not measured, and
+    the family of bowls: designs from before they existed keep their hash.
     """
     unused: dict[str, Any] = {"regions": True, "effort": True}
     if not design.reference_marks.count:
         unused["reference_marks"] = True
+    if design.strip.form == "single":
+        unused["strip"] = True
     if design.paints == NOMINAL_PAINTS:
         unused["paints"] = True
     if design.switch.family == "bowl":

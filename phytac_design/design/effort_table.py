@@ -33,6 +33,16 @@ class EffortSection(Section):
     """A switch: paint its tip red."""
     glue_s: float = assumed(45.0, ge=0.0, le=1e6)
     """A switch: find its receptor, put its stem through, glue its rim, hold it."""
+    strip_trim_s: float = assumed(30.0, ge=0.0, le=1e6)
+    """A strip of switches: take it out of the mold, cut along its edges, sort it."""
+    strip_stem_trim_s: float = assumed(4.0, ge=0.0, le=1e6)
+    """A stem on a strip: cut off what has set in its vent; no part is picked up."""
+    strip_tip_s: float = assumed(20.0, ge=0.0, le=1e6)
+    """A strip: dip all its tips in red, wipe them, lay it down."""
+    strip_glue_s: float = assumed(60.0, ge=0.0, le=1e6)
+    """A strip: find its place, lay glue on its web and rims, press it on."""
+    strip_stem_s: float = assumed(5.0, ge=0.0, le=1e6)
+    """A stem on a strip: thread it into the hole beside the one before."""
     fit_s: float = assumed(60.0, ge=0.0, le=1e6)
     """A printed or bought part of the hardware: fit it in its place."""
     screw_s: float = assumed(9.8, ge=0.0, le=1e6)

@@ -18,7 +18,7 @@ from phytac_design.design.layout_table import LayoutSection, ReceptorSection, Re
 from phytac_design.design.paints_table import NOMINAL_PAINTS, PaintsSection
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.regions_table import RegionSection
-from phytac_design.design.switch_table import MoldSection, SwitchSection
+from phytac_design.design.switch_table import MoldSection, StripSection, SwitchSection
 from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError
 
@@ -316,6 +316,7 @@ class Design(Section):
     reference_marks: ReferenceMarksSection = ReferenceMarksSection()
     switch: SwitchSection = SwitchSection()
     mold: MoldSection = MoldSection()
+    strip: StripSection = StripSection()
     bench: BenchSection = BenchSection()
     kit: KitSection = KitSection()
     effort: EffortSection = EffortSection()

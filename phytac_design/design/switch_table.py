@@ -1,4 +1,4 @@
-"""The tables ``[switch]`` and ``[mold]`` of a design file."""
+"""The tables ``[switch]``, ``[mold]`` and ``[strip]`` of a design file."""
 
 from typing import Annotated, Literal, Self
 
@@ -109,3 +109,33 @@ class MoldSection(Section):
     step shows where to cut."""
     vent_gap_mm: float = assumed(0.15, gt=0.0, le=5.0)
     """Rigid mold: gap between the stems' ends and the cap, through which air leaves."""
+
+
+class StripSection(Section):
+    """Whether switches are cast one by one, or on strips: bowls on one flat web of rubber."""
+
+    form: Literal["single", "strip"] = "single"
+    """`single`: each switch is cast, placed and glued alone; `strip`: bowls that lie side by side
+    are joined by a web, cast flat, and wrapped around the shell. Bowls that fit no strip stay
+    single."""
+    rows: int = Field(2, ge=1, le=100)
+    """Rows of markers on a strip; 1: all its stems have one length."""
+    columns: int = Field(0, ge=0, le=1000)
+    """Most markers of a row on a strip; 0 for as many as the mold has room for."""
+    web_mm: float = assumed(0.4, gt=0.0, le=5.0)
+    """Thickness of the web, over the shell's outer face."""
+    web_width_mm: float = assumed(1.5, gt=0.0, le=50.0)
+    """Width of the web between two bowls, at its foot."""
+    strain_max: float = assumed(0.03, gt=0.0, le=1.0)
+    """Most strain of the web on the shell: from bending and from stretch."""
+    pitch_error_mm: float = assumed(0.05, ge=0.0, le=5.0)
+    """± of the distance of two neighbouring stems: print, mold, shrinkage of the rubber."""
+
+    @model_validator(mode="after")
+    def _web_lies_flat(self) -> Self:
+        if self.web_width_mm < self.web_mm:
+            raise ValueError(
+                f"web_width_mm must be at least web_mm (got {self.web_width_mm:g} and "
+                f"{self.web_mm:g})"
+            )
+        return self

@@ -97,6 +97,10 @@ class SwitchSet:
         """Different switches as (bowl, length), in order."""
         return sorted(set(zip(self.bowl.tolist(), self.length.tolist(), strict=True)))
 
+    def kind_of(self, marker: int) -> tuple[int, int]:
+        """Kind of a marker's switch."""
+        return int(self.bowl[marker]), int(self.length[marker])
+
     def markers_of(self, kind: tuple[int, int]) -> IntArray:
         """Ids of the markers that get a kind of switch."""
         return np.flatnonzero((self.bowl == kind[0]) & (self.length == kind[1]))

@@ -6,7 +6,7 @@ from typing import Any
 
 from phytac_design.core import html as page
 from phytac_design.engine.stage import EXPORT, Context
-from phytac_design.fabrication.effort.effort import OPERATIONS, PARTS
+from phytac_design.fabrication.effort.effort import OPERATIONS, PARTS, on_strips
 from phytac_design.report import figure_names
 from phytac_design.report.verdict import sentence
 
@@ -30,6 +30,7 @@ def fabrication_facts(facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
                 "shared_mm3",
             )
         },
+        **({"strips": mold["strips"]} if "strips" in mold else {}),
         "interference_mm3": (hardware.get("interference") or {}).get("shared_mm3"),
         "light_leaks": (hardware.get("light") or {}).get("leaks"),
         "screws": hardware.get("joints", []),
@@ -100,8 +101,9 @@ def effort_tables(effort: Mapping[str, Any]) -> str:
         words = [f"{effort['inserts']} coloured inserts on {sprues} sprues are pushed in"]
     if effort["switches"]:
         words.append(
-            f"{effort['switches']} switches are cast, trimmed, painted and glued (stem lengths: "
-            f"{effort['stem_lengths']}, castings: {effort['castings']})"
+            f"{effort['switches']} switches are cast, trimmed, painted and glued"
+            f"{on_strips(effort)} (stem lengths: {effort['stem_lengths']}, castings: "
+            f"{effort['castings']})"
         )
     if effort["price"] is not None:
         words.append(f"price at the design's prices: {effort['price']:.2f}")

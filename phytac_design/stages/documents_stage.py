@@ -11,6 +11,7 @@ from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, writ
 from phytac_design.fabrication.documents import bill_of_materials as bill
 from phytac_design.fabrication.documents.assembly_page import assembly_html, fixture_steps
 from phytac_design.fabrication.documents.exploded import (
+    RUBBER,
     Body,
     insert_bodies,
     part_colour,
@@ -26,7 +27,10 @@ from phytac_design.fabrication.documents.paint_map import (
 )
 from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps, recipe_text
 from phytac_design.fabrication.documents.section_view import section_svg
+from phytac_design.fabrication.documents.strip_drawing import strips_svg, wrapped_webs
 from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
+from phytac_design.fabrication.molds.make import strips_of
+from phytac_design.fabrication.switch_strips import StripSet
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS, read_stl
 from phytac_design.stages.printing_stage import OTHERS
 from phytac_design.stages.switch_stage import switches_of, without_switches
@@ -39,7 +43,9 @@ def run(context: Context, folder: Path) -> None:
     design, markers = context.design, context.markers
     switches, cast = switches_of(context), cast_design(context)
 
-    drawn = make_map(context.sensor, switches)
+    strips = strips_of(context.sensor, switches, tolerance_mm=context.accuracy.cad_tolerance_mm)
+
+    drawn = make_map(context.sensor, switches, strips)
     write_text(folder, "bench/paint_map.svg", svg(whole_page(drawn)))
     write_text(folder, "bench/paint_map_inside.svg", svg(whole_page(drawn, inside=True)))
     pages = paper_pages(drawn)
@@ -57,7 +63,7 @@ def run(context: Context, folder: Path) -> None:
     rows = bill.bill_rows(
         [
             *bill.shell_parts(design, shell_volume, context.facts("printing")["pieces"]),
-            *bill.switch_parts(switches),
+            *bill.switch_parts(switches, strips),
             *bill.optics_parts(design, listed=bool(lists["hardware"])),
             *(part for parts in lists.values() for part in parts),
         ]
@@ -65,8 +71,10 @@ def run(context: Context, folder: Path) -> None:
     write_text(folder, "bench/bill_of_materials.csv", bill.bill_csv(rows))
     recipe = None
     if switches.kinds:
-        recipe = make_recipe(cast, rubber_mm3(rows), _volume_mm3(rows, "silicone"))
-        write_text(folder, "bench/casting.md", recipe_text(cast, recipe, body=switches.body))
+        castings = int(context.facts("mold").get("castings", 1)) if strips else 1
+        recipe = make_recipe(cast, rubber_mm3(rows), _volume_mm3(rows, "silicone"), castings)
+        text = recipe_text(cast, recipe, strips, body=switches.body)
+        write_text(folder, "bench/casting.md", text)
     context.progress("bench: assembly sheet")
     sheet = assembly_html(
         cast,
@@ -74,10 +82,12 @@ def run(context: Context, folder: Path) -> None:
         recipe,
         count=markers.count,
         bill=rows,
-        steps=recipe_steps(cast, recipe, body=switches.body) if recipe else (),
+        steps=recipe_steps(cast, recipe, strips, body=switches.body) if recipe else (),
         fixture_steps=fixture_steps(design, hardware),
-        pictures=pictures(context),
+        pictures=pictures(context, strips),
         section=section_svg(design, markers, switches) if recipe else "",
+        strips=strips,
+        flat=strips_svg(context.sensor, strips) if strips else "",
     )
     write_text(folder, "bench/assembly.html", sheet)
     masses = {name: bill.total_mass_g(rows, name) for name in ("resin", "tpu", "silicone")}
@@ -125,7 +135,7 @@ def rubber_mm3(rows: list[dict[str, Any]]) -> float:
     return _volume_mm3(rows, "tpu")
 
 
-def pictures(context: Context) -> dict[str, bytes]:
+def pictures(context: Context, strips: StripSet | None = None) -> dict[str, bytes]:
     """Exploded pictures by caption."""
     pull_mm = 16.0  # how far the exploded picture pulls the switches out
 
@@ -147,7 +157,12 @@ def pictures(context: Context) -> dict[str, bytes]:
     if not context.design.has_switches:
         return out
     switches = switch_bodies(context.surface, markers, switches_of(context), pull_mm)
-    out[f"Shell and {markers.count} switches, pulled out."] = picture([shell, *switches])
+    caption = f"Shell and {markers.count} switches, pulled out."
+    if strips is not None:
+        caption = f"Shell and {len(strips.strips)} strips of switches, pulled out."
+        web = wrapped_webs(context.sensor, strips, pull_mm=pull_mm)
+        switches.append(Body(mesh=web, colour=RUBBER))
+    out[caption] = picture([shell, *switches])
     return out
 
 
@@ -162,6 +177,7 @@ BENCH = Stage(
         "camera.pixel_um",
         "switch",
         "mold",
+        "strip",
         "bench",
         "hardware",
         "print_rules",

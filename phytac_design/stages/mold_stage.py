@@ -5,9 +5,10 @@ from typing import Any
 
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.fabrication.bill import bill_part
-from phytac_design.fabrication.molds.make import make_molds
+from phytac_design.fabrication.molds.make import make_molds, strips_of
 from phytac_design.fabrication.molds.mold_files import mold_files
 from phytac_design.fabrication.molds.rules import rule_rows
+from phytac_design.fabrication.molds.strip_files import strip_facts, strip_files
 from phytac_design.stages.switch_stage import switches_of, without_switches
 
 
@@ -17,23 +18,32 @@ def run(context: Context, folder: Path) -> None:
         return
     design, switches = context.design, switches_of(context)
     section = design.mold
-    made = make_molds(
-        section,
-        design.print_rules,
-        switches,
-        tolerance_mm=context.accuracy.cad_tolerance_mm,
-    )
+    tolerance = context.accuracy.cad_tolerance_mm
+    strips = strips_of(context.sensor, switches, tolerance_mm=tolerance)
+    made = make_molds(section, design.print_rules, switches, tolerance_mm=tolerance, strips=strips)
     written = mold_files(made, switches, progress=context.progress)
     sets, poured = written.sets, written.poured_mm3
-    for file, data in written.contents.items():
+    contents = written.contents
+    if strips is not None:
+        contents |= strip_files(context.sensor, strips)
+    for file, data in contents.items():
         export_path(folder, file).write_bytes(data)
-    total = {key: sum(each[key] for each in poured) for key in poured[0]}
+    castings = [each.plan.castings for each in made]
+    total = {
+        key: sum(
+            each[key] * (1 if key.startswith("silicone") else count)
+            for count, each in zip(castings, poured, strict=True)
+        )
+        for key in poured[0]
+    }
     plates = [plate for each in sets for plate in each["plates"].values()]
     write_facts(
         folder,
         {
             "way": section.way,
             "sets": sets,
+            "castings": sum(castings),
+            **({"strips": strip_facts(strips)} if strips is not None else {}),
             "cavities": sum(each.plan.cavities for each in made),
             "pitch_mm": made[0].sizes.pitch_mm,
             "largest_mm": max(max(plate["size_mm"]) for plate in plates),
@@ -83,13 +93,21 @@ def _parts(sets: list[dict[str, Any]], poured: list[dict[str, float]]) -> list[d
         ]
         over = volumes["rubber"] - volumes["switches"]
         part = f"rubber that runs over{suffix}"
-        found.append(bill_part(part, material="tpu", volume_mm3=over, note="each casting"))
+        found.append(
+            bill_part(
+                part,
+                count=facts["castings"],
+                material="tpu",
+                volume_mm3=over,
+                note="each casting",
+            )
+        )
     return found
 
 
 MOLD = Stage(
     name="mold",
-    design_fields=("tubes", "receptor.diameter_hole_mm", "switch", "mold", "print_rules"),
+    design_fields=("tubes", "receptor.diameter_hole_mm", "switch", "mold", "strip", "print_rules"),
     settings=("cad_tolerance_mm",),
     depends_on=("switch",),
     run=run,

@@ -10,6 +10,7 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.bill_of_materials import shell_file
 from phytac_design.fabrication.documents.recipe import Recipe, parts_g
 from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.fabrication.switch_strips import StripSet, strip_label
 
 
 def switch_table(switches: SwitchSet) -> str:
@@ -30,6 +31,25 @@ def switch_table(switches: SwitchSet) -> str:
     ]
     family = ["family"] if named else []
     return table(["switch", *family, "threshold (N)", "length (mm)", "count"], rows)
+
+
+def strip_table(strips: StripSet) -> str:
+    """HTML table of the different strips: label, switches, lengths, how many."""
+    rows = []
+    for number in strips.numbers:
+        alike = strips.alike(number)
+        length = strips.switches.lengths_mm[strips.switches.length[alike[0].markers]]
+        rows.append(
+            (
+                strip_label(number),
+                alike[0].count,
+                float(length.min()),
+                float(length.max()),
+                len(alike),
+            )
+        )
+    head = ["strip", "switches", "shortest (mm)", "longest (mm)", "count"]
+    return table(head, rows)
 
 
 def bill_table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -104,6 +124,8 @@ def assembly_html(
     fixture_steps: Sequence[str],
     pictures: Mapping[str, bytes],
     section: str,
+    strips: StripSet | None = None,
+    flat: str = "",
 ) -> str:
     """HTML of the sheet.
 
@@ -123,6 +145,10 @@ def assembly_html(
         Caption to PNG.
     section : str
         SVG of a section through a receptor.
+    strips : StripSet, optional
+        The strips, where switches are cast on some.
+    flat : str
+        SVG of the different strips, as cast.
     """
     shell = [
         (
@@ -163,6 +189,22 @@ def assembly_html(
             "look from the camera's end; a tip that shows now would show always."
         ),
     ]
+    shown_switches = switch_table(switches)
+    if strips is not None:
+        shown_switches = strip_table(strips) + svg_figure(
+            flat, "The different strips from outside, 1:1: place of each switch and its marker."
+        )
+        place[:2] = [
+            (
+                f"Put {len(strips.strips)} strips on, sorted by label: mold/strips.csv, or the "
+                "label below each marker on the paint map. Strips of one label are alike; the "
+                "drawing shows the markers of the first."
+            ),
+            (
+                "Lay a thin film of cyanoacrylate on the web and the rims, none in the holes. "
+                "Begin at one end: thread stem after stem from outside and press the web down."
+            ),
+        ]
     calibrate = [
         "After assembly: run kit/decoder.gcode for data with the switches in.",
     ]
@@ -177,7 +219,7 @@ def assembly_html(
         ("2 Switches: casting", grams + _listed(steps)),
         (
             "3 Switches: placing",
-            switch_table(switches)
+            shown_switches
             + svg_figure(section, "Section through one receptor with its switch.")
             + _listed(place),
         ),

@@ -7,6 +7,7 @@ from phytac_design.design.shell_materials import shell_words
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.bill import bill_part, csv_text
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3
+from phytac_design.fabrication.switch_strips import StripSet, strip_label
 from phytac_shapes.errors import DesignError
 
 Part: TypeAlias = Mapping[str, Any]
@@ -56,12 +57,21 @@ def shell_parts(
     return [*printed, *more]
 
 
-def switch_parts(switches: SwitchSet) -> list[dict[str, Any]]:
-    """Every kind of switch, and what their tips and seats need; nothing without switches."""
+def switch_parts(switches: SwitchSet, strips: StripSet | None = None) -> list[dict[str, Any]]:
+    """Every kind of switch or strip, and what tips and seats need; nothing without switches."""
     if not switches.kinds:
         return []
+    out = _single_parts(switches) if strips is None else _strip_parts(strips)
+    return [
+        *out,
+        bought("marker pen, red", 1, "tips of the switches"),
+        bought("cyanoacrylate (Loctite 406), 20 g", 1, "seats of the switches"),
+    ]
+
+
+def _single_parts(switches: SwitchSet) -> list[dict[str, Any]]:
     profile_mm = 1e-3  # accuracy of the sections that volumes are taken from
-    out = [
+    return [
         bill_part(
             f"switch {switches.label(kind)}",
             count=len(switches.markers_of(kind)),
@@ -72,11 +82,25 @@ def switch_parts(switches: SwitchSet) -> list[dict[str, Any]]:
         )
         for kind in switches.kinds
     ]
-    return [
-        *out,
-        bought("marker pen, red", 1, "tips of the switches"),
-        bought("cyanoacrylate (Loctite 406), 20 g", 1, "seats of the switches"),
-    ]
+
+
+def _strip_parts(strips: StripSet) -> list[dict[str, Any]]:
+    out = []
+    for number in strips.numbers:
+        alike = strips.alike(number)
+        length = strips.switches.lengths_mm[strips.switches.length[alike[0].markers]]
+        several = f"{alike[0].count} switches, " if alike[0].count > 1 else ""
+        out.append(
+            bill_part(
+                f"{'strip' if several else 'switch'} {strip_label(number)}",
+                count=len(alike),
+                material="tpu",
+                volume_mm3=strips.rubber_of_mm3(number),
+                note=f"{several}{length.min():.1f} to {length.max():.1f} mm from outer face to "
+                "tip; cast",
+            )
+        )
+    return out
 
 
 def family_words(switches: SwitchSet, number: int) -> str:

@@ -21,6 +21,9 @@ from phytac_design.solids.solid_mesh import to_triangles
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
+RUBBER = (236, 222, 176)
+"""Colour of the switches."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
@@ -47,7 +50,6 @@ def switch_bodies(
 ) -> list[Body]:
     """All switches, moved out along their receptors' axes by ``pull_mm``; red tips are separate."""
     tip_mm = 1.0  # painted end of a stem
-    rubber = (236, 222, 176)
     coarse_mm = 0.15  # accuracy of switches in pictures
     origin, turn = switch_frames(surface, markers, switches)
     origin = origin - pull_mm * markers.direction
@@ -56,7 +58,7 @@ def switch_bodies(
     for kind in switches.kinds:
         own = switches.markers_of(kind)
         mesh = revolve(switches.profile(kind, coarse_mm), coarse_mm)
-        bodies.append(Body(mesh=copies(mesh, origin[own], turn[own]), colour=rubber))
+        bodies.append(Body(mesh=copies(mesh, origin[own], turn[own]), colour=RUBBER))
         # The painted end is drawn a little larger than the stem.
         radius = 0.5 * switches.tip_diameter_mm + 0.03
         low = -float(switches.lengths_mm[kind[1]]) - 0.03

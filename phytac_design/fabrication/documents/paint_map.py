@@ -14,6 +14,7 @@ from phytac_design.fabrication.bill import csv_text
 from phytac_design.fabrication.documents.unroll import UnrolledSurface, unroll
 from phytac_design.fabrication.inserts.sprues import plan_sprues
 from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.fabrication.switch_strips import StripSet, strip_label
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS
@@ -95,7 +96,17 @@ def switch_labels(switches: SwitchSet) -> tuple[str, ...]:
     return tuple(names[kind] for kind in kinds)
 
 
-def make_map(sensor: Sensor, switches: SwitchSet) -> PaintMap:
+def strip_labels(strips: StripSet) -> tuple[str, ...]:
+    """Label of each marker's strip, with the strip's place in ``mold/strips.csv``."""
+    names = {
+        int(marker): f"{strip_label(strip.number)}-{piece}"
+        for piece, strip in enumerate(strips.strips, start=1)
+        for marker in strip.markers
+    }
+    return tuple(names[marker] for marker in range(len(names)))
+
+
+def make_map(sensor: Sensor, switches: SwitchSet, strips: StripSet | None = None) -> PaintMap:
     """Lay out the paint map of a design."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     text_share = 0.2  # height of a marker's number over the distance to its nearest neighbour
@@ -113,7 +124,8 @@ def make_map(sensor: Sensor, switches: SwitchSet) -> PaintMap:
         ghosts=_ghosts(unrolled, surface, markers, design.receptor.diameter_outer_mm / 2.0),
         stretch=unrolled.stretch_at(markers.uv),
         number=marker_numbers(markers),
-        switch=switch_labels(switches) or ("",) * markers.count,
+        switch=(strip_labels(strips) if strips else switch_labels(switches))
+        or ("",) * markers.count,
         paint=tuple(names[k] for k in markers.colour),
         sprues=tuple((one.markers[0], one.label) for one in plan_sprues(sensor))
         if design.receptor.has_inserts

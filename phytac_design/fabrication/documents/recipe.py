@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.bill_of_materials import DENSITY_g_cm3
+from phytac_design.fabrication.switch_strips import StripSet
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
 
 PAPER_RUBBER = "tpu-8400n"
@@ -27,6 +28,8 @@ class Recipe:
         Rubber in all with the waste, and its parts.
     silicone_g : float
         Silicone with the waste; 0 where molds are printed.
+    castings : int
+        Fillings of all sets of molds that the rubber is for.
     """
 
     switch_mm3: float
@@ -38,9 +41,12 @@ class Recipe:
     b_g: float
     c_g: float
     silicone_g: float
+    castings: int = 1
 
 
-def make_recipe(design: Design, switch_mm3: float, silicone_mm3: float) -> Recipe:
+def make_recipe(
+    design: Design, switch_mm3: float, silicone_mm3: float, castings: int = 1
+) -> Recipe:
     """Amounts for volumes of switches (with channels) and of silicone molds, mm³."""
     bench = design.bench
     rubber = switch_mm3 / 1000.0 * DENSITY_g_cm3["tpu"] * (1.0 + bench.waste_rubber)
@@ -55,10 +61,13 @@ def make_recipe(design: Design, switch_mm3: float, silicone_mm3: float) -> Recip
         c_g=ac * A_TO_C / (1.0 + A_TO_C),
         b_g=rubber / (AC_TO_B + 1.0),
         silicone_g=silicone_mm3 / 1000.0 * DENSITY_g_cm3["silicone"] * (1.0 + bench.waste_silicone),
+        castings=castings,
     )
 
 
-def recipe_steps(design: Design, recipe: Recipe, *, body: str = "bowl") -> list[str]:
+def recipe_steps(
+    design: Design, recipe: Recipe, strips: StripSet | None = None, *, body: str = "bowl"
+) -> list[str]:
     """Steps in order, with the amounts."""
     shrink = 100.0 * design.mold.shrink_rubber
     steps = []
@@ -92,21 +101,39 @@ def recipe_steps(design: Design, recipe: Recipe, *, body: str = "bowl") -> list[
             "scrape that side, then screw or weight the cap on."
         )
         trim = " Open at the channel all around; pull off the thin sheet between the {body}s."
+    last = [
+        "Paint the end of each stem red; let it dry.",
+        (
+            f"Glue each switch by the rim of its {body} with cyanoacrylate, the stem through its "
+            "receptor, where switch_placement.csv and the paint map show."
+        ),
+    ]
+    sort = "Sort the switches by the label beside each cavity."
+    if strips is not None:
+        sort = "Mark each strip with the label beside its cavity; cut along its web's edges."
+        last = [
+            "Dip the ends of all stems of a strip into a film of red paint at once; let it dry.",
+            (
+                f"Glue each strip along its web and the rims of its {body}s with cyanoacrylate, "
+                "where mold/strips.csv and the paint map show: begin at one end, thread stem after "
+                "stem, press it down as you go."
+            ),
+        ]
+    if recipe.castings > 1:
+        steps.append(
+            f"The molds are filled {recipe.castings} times in all: do the next steps for each, "
+            "with that share of the amounts."
+        )
     return [
         *steps,
         *_mixing(design, recipe),
         fill.format(volume=f"({recipe.switch_mm3 / 1000.0:.2f} cm³ in all)"),
         "Cure at 65 °C for 1 h." if of_paper(design) else "Let it cure as its maker specifies.",
         (
-            f"Demould; the rubber has shrunk by {shrink:.2g} %, which the mold allows for. Sort "
-            "the switches by the label beside each cavity."
+            f"Demould; the rubber has shrunk by {shrink:.2g} %, which the mold allows for. {sort}"
             + trim.format(step=design.mold.vent_step_mm, body=body)
         ),
-        "Paint the end of each stem red; let it dry.",
-        (
-            f"Glue each switch by the rim of its {body} with cyanoacrylate, the stem through its "
-            "receptor, where switch_placement.csv and the paint map show."
-        ),
+        *last,
     ]
 
 
@@ -144,7 +171,9 @@ def _mixing(design: Design, recipe: Recipe) -> list[str]:
     ]
 
 
-def recipe_text(design: Design, recipe: Recipe, *, body: str = "bowl") -> str:
+def recipe_text(
+    design: Design, recipe: Recipe, strips: StripSet | None = None, *, body: str = "bowl"
+) -> str:
     """Markdown page of the recipe for switches of a family, see ``SwitchSet.body``."""
     fine_g = 2.0  # below this a part must be weighed to 0.01 g: a tenth of a gram would be 5 %
     modulus_MPa = rubber_of(design).material.modulus_MPa
@@ -153,6 +182,7 @@ def recipe_text(design: Design, recipe: Recipe, *, body: str = "bowl") -> str:
     rows = [*parts.items(), ("rubber in all", recipe.rubber_g)]
     if recipe.silicone_g > 0.0:
         rows.append(("silicone", recipe.silicone_g))
+    steps = recipe_steps(design, recipe, strips, body=body)
     lines = [
         f"# {design.name}: casting the switches",
         "",
@@ -165,10 +195,7 @@ def recipe_text(design: Design, recipe: Recipe, *, body: str = "bowl") -> str:
         "|---|---|",
         *(f"| {name} | {grams:.2f} |" for name, grams in rows),
         "",
-        *(
-            f"{number}. {step}"
-            for number, step in enumerate(recipe_steps(design, recipe, body=body), start=1)
-        ),
+        *(f"{number}. {step}" for number, step in enumerate(steps, start=1)),
         "",
         (
             "A multi-material print of shell/shell.3mf needs no paint on the receptors; the tips "

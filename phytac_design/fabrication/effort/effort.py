@@ -4,6 +4,7 @@ Counts are those of the bill of materials without the calibration kit and withou
 Switches are not solved: the molds are planned, and the rubber is estimated, with nominal ones.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -17,8 +18,9 @@ from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.inserts.insert_solids import sprue_volume_mm3
 from phytac_design.fabrication.inserts.sprues import plan_sprues, plates, push_s
 from phytac_design.fabrication.molds.estimate import MoldVolumes, mold_volumes
-from phytac_design.fabrication.molds.make import MAKERS, plan_molds
+from phytac_design.fabrication.molds.make import MAKERS, plan_molds, strips_of
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches
+from phytac_design.fabrication.switch_strips import StripSet
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.bowl import Bowl
@@ -34,6 +36,7 @@ PARTS = {
     "silicone": "silicone halves, cast",
     "sprues": "sprues of inserts",
     "switches": "switches",
+    "strips": "strips of switches",
     "screws": "screws and inserts",
     "bought": "cameras and lights",
 }
@@ -63,8 +66,10 @@ class Effort:
         Parts that are handled, by group (see ``PARTS``).
     switches, stem_lengths, switch_kinds : int
         Switches to cast, trim, paint and glue; their lengths; pairs of bowl and length.
+    on_strips : int
+        Switches that are on strips: they are handled together.
     castings : int
-        Sets of plates or trays; each is cast once.
+        Castings of all sets of plates or trays.
     receptor_ends : int
         Ends that are painted by hand.
     inserts : int
@@ -86,6 +91,7 @@ class Effort:
     switches: int
     stem_lengths: int
     switch_kinds: int
+    on_strips: int
     castings: int
     receptor_ends: int
     inserts: int
@@ -129,18 +135,23 @@ def effort_of(sensor: Sensor) -> Effort:
     design, count, left_out = sensor.design, sensor.markers.count, ""
     switches = kinds = lengths = 0
     molds: list[MoldVolumes] = []
+    castings: list[int] = []
+    strips: StripSet | None = None
     if design.has_switches:
         switches = count
         try:
             made = nominal_switches(sensor)
             kinds, lengths = len(made.kinds), len(made.lengths_mm)
-            sizes, plans = plan_molds(design.mold, design.print_rules, made)
+            strips = strips_of(sensor, made)
+            sizes, plans = plan_molds(design.mold, design.print_rules, made, strips=strips)
+            castings = [plan.castings for plan in plans]
             molds = [mold_volumes(plan, sizes) for plan in plans]
         except DesignError as error:
             left_out = str(error)
     kit = _hardware(sensor)
     bought = optics_parts(design, listed=bool(kit.parts))
     silicone = design.mold.way == "silicone-master"
+    on_strips = sum(strip.count for strip in strips.webs) if strips else 0
     inserts = sum(len(joint.seats_mm) for joint in kit.joints if joint.thread == "heat-set")
     sprues = plan_sprues(sensor) if design.receptor.has_inserts else []
     parts = {
@@ -149,7 +160,8 @@ def effort_of(sensor: Sensor) -> Effort:
         "molds": len(molds) * len(MAKERS[design.mold.way]),
         "hardware": sum(part.printed for part in kit.parts),
         "silicone": 2 * len(molds) * silicone,
-        "switches": switches,
+        "switches": switches - on_strips,
+        "strips": len(strips.webs) if strips else 0,
         "screws": sum(part.material == "steel" for part in kit.parts) + inserts,
         "bought": sum(part.material in ("electronics", "light") for part in kit.parts)
         + sum(part["count"] for part in bought if part["material"] == "electronics"),
@@ -159,11 +171,11 @@ def effort_of(sensor: Sensor) -> Effort:
         "shell": shell_volume_mm3(sensor),
         "inserts": sum(sprue_volume_mm3(design, sprue) for sprue in sprues),
         "molds": sum(one.printed_mm3 for one in molds),
-        "rubber": sum(one.rubber_mm3 for one in molds),
+        "rubber": sum(count * one.rubber_mm3 for count, one in zip(castings, molds, strict=True)),
         "silicone": sum(one.silicone_mm3 for one in molds),
     }
     beds = sum(map(len, plates(sprues, design).values()))
-    hours = _hours(design, parts, ends=ends, castings=len(molds), beds=beds)
+    hours = _hours(design, parts, ends=ends, castings=sum(castings), stems=on_strips, beds=beds)
     hours["insert"] = push_s(design, sprues) / 3600.0
     poured = {"rubber": "tpu", "silicone": "silicone"}
     masses = {
@@ -174,7 +186,8 @@ def effort_of(sensor: Sensor) -> Effort:
         switches=switches,
         stem_lengths=lengths,
         switch_kinds=kinds,
-        castings=len(molds),
+        on_strips=on_strips,
+        castings=sum(castings),
         receptor_ends=ends,
         inserts=count if sprues else 0,
         hours={name: hours[name] for name in OPERATIONS},
@@ -184,6 +197,15 @@ def effort_of(sensor: Sensor) -> Effort:
         price=_price(design, sum(hours.values()), masses),
         left_out=left_out,
     )
+
+
+def on_strips(effort: Mapping[str, Any]) -> str:
+    """How many switches are on how many strips, in words after them; "" without strips.
+
+    ``effort`` is as ``Effort.as_dict`` makes it.
+    """
+    count = effort["parts"]["strips"]
+    return f", {effort['on_strips']} of them on {count} strips" if count else ""
 
 
 def nominal_switches(sensor: Sensor) -> SwitchSet:
@@ -232,18 +254,29 @@ def _hardware(sensor: Sensor) -> HardwareAssembly:
 
 
 def _hours(
-    design: Design, parts: dict[str, int], *, ends: int, castings: int, beds: int
+    design: Design,
+    parts: dict[str, int],
+    *,
+    ends: int,
+    castings: int,
+    stems: int,
+    beds: int,
 ) -> dict[str, float]:
-    """Hand work by operation, h; sprues are printed by ``beds``."""
+    """Hand work by operation, h; ``stems`` are those on strips, sprues are printed by ``beds``."""
     each = design.effort
+    strips = parts["strips"]
     seconds = {
         "print": (parts["shell"] + parts["molds"] + parts["hardware"] + beds) * each.print_s,
         "paint_ends": ends * each.paint_s,
         "silicone": 0.5 * parts["silicone"] * each.silicone_s,
         "cast": castings * each.cast_s,
-        "trim": parts["switches"] * each.trim_s,
-        "paint_tips": parts["switches"] * each.tip_s,
-        "glue": parts["switches"] * each.glue_s,
+        "trim": parts["switches"] * each.trim_s
+        + strips * each.strip_trim_s
+        + stems * each.strip_stem_trim_s,
+        "paint_tips": parts["switches"] * each.tip_s + strips * each.strip_tip_s,
+        "glue": parts["switches"] * each.glue_s
+        + strips * each.strip_glue_s
+        + stems * each.strip_stem_s,
         "assemble": (parts["hardware"] + parts["bought"]) * each.fit_s
         + parts["screws"] * each.screw_s,
     }
@@ -268,10 +301,10 @@ def _price(design: Design, hours: float, masses: dict[str, float]) -> float | No
 def _tools(design: Design, parts: dict[str, int], ends: int) -> tuple[str, ...]:
     """Tools, in the order in which they are used."""
     out = [f"printer ({design.print_rules.process})"]
-    if parts["switches"]:
+    if parts["switches"] + parts["strips"]:
         out += ["scale (0.01 g)", "vacuum chamber", "oven (65 °C)", "knife"]
     pens: list[str] = [*dict.fromkeys(design.layout.colours)] if ends else []
-    pens += ["red"] if parts["switches"] else []
+    pens += ["red"] if parts["switches"] + parts["strips"] else []
     if pens:
         out.append(f"marker pens ({', '.join(pens)})")
     if parts["sprues"]:

@@ -4,8 +4,8 @@ Independent of how the plates were built: a half of silicone is a block minus it
 a column minus both halves.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,11 @@ import numpy as np
 from phytac_design.fabrication.molds.cavity import Cavity, MoldSizes
 from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.plate_grid import PlateLayout, SwitchKind
+from phytac_design.fabrication.molds.plates import Cells
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3
+from phytac_design.fabrication.switch_strips import strip_label
 from phytac_design.geometry.triangles import TriangleMesh, prisms
-from phytac_design.solids.solid_mesh import box, to_manifold, to_triangles
+from phytac_design.solids.solid_mesh import box, to_manifold, to_triangles, united
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import NumericalError
 
@@ -37,6 +39,22 @@ class Fit:
     volume_mm3: float
     volume_error: float
     hausdorff_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class StripFit:
+    """A strip's cavity against the strip, the rubber's shrinkage undone.
+
+    Attributes
+    ----------
+    bodies : int
+        Separate pieces that come out of it: one.
+    volume_error : float
+        Of them all, relative to the strip's volume in closed form.
+    """
+
+    bodies: int
+    volume_error: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +89,8 @@ class Audit:
         Least gap of keys in sockets, of the cap's bosses in their troughs (rigid).
     fits : dict
         Cavity of each kind against its switch.
+    strips : dict
+        Cavity of each different strip against the strip.
     """
 
     halves: tuple[Any, Any]
@@ -79,6 +99,7 @@ class Audit:
     key_gap_mm: float
     cap_gap_mm: float | None
     fits: dict[SwitchKind, Fit]
+    strips: dict[int, StripFit]
 
     @property
     def draft_deg(self) -> float:
@@ -93,7 +114,9 @@ class Audit:
     @property
     def volume_error(self) -> float:
         """Worst relative error of a cavity's volume."""
-        return max(abs(fit.volume_error) for fit in self.fits.values())
+        errors = [fit.volume_error for fit in self.fits.values()]
+        errors += [fit.volume_error for fit in self.strips.values()]
+        return max(map(abs, errors))
 
     @property
     def hausdorff_mm(self) -> float:
@@ -134,6 +157,7 @@ def audit_set(made: MoldSet, fine: Mapping[SwitchKind, FloatArray]) -> Audit:
             kind: fit_of(cavity, fine[kind], sizes.section.shrink_rubber)
             for kind, cavity in cavities_of(plan, sizes, halves).items()
         },
+        strips=strip_fits(plan, sizes, halves, fine),
     )
 
 
@@ -165,16 +189,18 @@ def releases_of(made: MoldSet) -> dict[str, Release]:
     out = {name: check_release(mesh) for name, mesh in made.parts.items()}
     if "core_plate" in made.parts:
         # A hole that widens downwards lets every ray pass, but not what was cast in it.
-        sizes, half = made.sizes, 0.5 * made.sizes.pitch_mm
+        sizes = made.sizes
+        half = 0.5 * (sizes.spacing_mm or sizes.pitch_mm)
         corners = made.parts["core_plate"].corners_mm
         area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
         middle, top = corners[:, :, :2].mean(axis=1), corners[:, :, 2].max(axis=1)
         caught: BoolArray = np.zeros(len(corners), dtype=np.bool_)
         for run in made.plan.runs:
             centre = made.plan.centre_mm(run.cells, sizes.pitch_mm)
-            inside = (middle >= centre[0] - half).all(axis=1)
-            inside &= (middle <= centre[-1] + half).all(axis=1)
-            caught |= inside & (top > -sizes.cavities[run.kind].reach_mm + 1e-6)
+            deep = top > -sizes.cavities[run.kind].reach_mm + 1e-6
+            for low, high in zip(centre, centre, strict=True) if run.places else [centre[[0, -1]]]:
+                inside = (middle >= low - half).all(axis=1) & (middle <= high + half).all(axis=1)
+                caught |= inside & deep
         more = float(-area[caught & (area < 0.0)].sum())
         plain = out["core_plate"]
         out["core_plate"] = Release(
@@ -218,6 +244,8 @@ def cavities_of(
     end = np.column_stack([centre, np.full(len(centre), sizes.dome_mm + 0.1)])
     columns = prisms(start, end, sizes.rim_mm + 0.5 * sizes.section.land_mm, 48)
     rest = to_manifold(columns) - halves[0] - halves[1].translate((0.0, 0.0, pressed_mm))
+    if plan.strips:
+        rest -= _web_around(plan, sizes)
     bodies = [to_triangles(body) for body in rest.decompose()]
     middle = np.array(
         [
@@ -231,6 +259,60 @@ def cavities_of(
         body = max((bodies[k] for k in near), key=lambda mesh: mesh.volume_mm3)
         found[kind] = body.moved(-np.array([*at, 0.0]))
     return found
+
+
+def _web_around(plan: PlateLayout, sizes: MoldSizes) -> Any:
+    """Webs of all strips outside their bowls, a little large: what they add to the switches."""
+    more_mm = 0.02
+    (thick, half), cells = sizes.web_mm, Cells(plan, sizes)
+    bars = united(cells.webs((-more_mm, thick + more_mm), (half + more_mm, half + more_mm)))
+    for run in plan.runs:
+        over = sizes.cavities[run.kind].over
+        ends = [(over[0, 0], -2.0 * more_mm), (0, -2.0 * more_mm)]
+        bars -= cells.turned(run.cells, [(0, over[-1, 1]), *over[::-1], *ends], sizes.sides)
+    return bars
+
+
+def strip_fits(
+    plan: PlateLayout,
+    sizes: MoldSizes,
+    halves: tuple[Any, Any],
+    fine: Mapping[SwitchKind, FloatArray],
+) -> dict[int, StripFit]:
+    """Cavity of the first strip of each number, against volumes of its switches and its web."""
+    if sizes.strips is None:
+        return {}
+    pressed_mm, speck_mm3 = 1e-5, 1e-3
+    kinds = {cell: run.kind for run in plan.runs for cell in run.cells}
+    first = {strip.number: strip for strip in reversed(plan.strips)}
+    own = replace(plan, strips=tuple(first.values()))
+    cells = [cell for strip in own.strips for cell in strip.cells]
+    number = np.array([strip.number for strip in own.strips for _ in strip.cells])
+    at = plan.centre_mm(cells, sizes.pitch_mm)
+    low = [2.0 * pressed_mm - sizes.cavities[kinds[cell]].reach_mm for cell in cells]
+    start = np.column_stack([at, low])
+    end = np.column_stack([at, np.full(len(at), sizes.dome_mm + 0.1)])
+    land, (_, half) = 0.5 * sizes.section.land_mm, sizes.web_mm
+    # Columns and bars overlap along a strip: each is a solid of its own.
+    region = Cells(own, sizes).webs((-0.1, sizes.dome_mm + 0.1), (half + land, half + land))
+    region += [
+        to_manifold(prisms(start[k : k + 1], end[k : k + 1], sizes.rim_mm + land, 48))
+        for k in range(len(at))
+    ]
+    rest = united(region) - halves[0] - halves[1].translate((0.0, 0.0, pressed_mm))
+    volumes: dict[int, list[float]] = {each: [] for each in first}
+    for body in rest.decompose():
+        if body.volume() > speck_mm3:
+            place = to_triangles(body).vertices_mm[0, :2]
+            nearest = int(np.linalg.norm(at - place, axis=1).argmin())
+            volumes[int(number[nearest])].append(float(body.volume()))
+    out = {}
+    for each, strip in first.items():
+        wanted = sum(revolved_volume_mm3(fine[kinds[cell]]) for cell in strip.cells)
+        wanted += sizes.strips.web_of_mm3(each)
+        found = sum(volumes[each]) / sizes.rubber_scale**3
+        out[each] = StripFit(bodies=len(volumes[each]), volume_error=found / wanted - 1.0)
+    return out
 
 
 def fit_of(cavity: TriangleMesh, profile: FloatArray, shrink: float) -> Fit:
@@ -259,7 +341,7 @@ def fit_of(cavity: TriangleMesh, profile: FloatArray, shrink: float) -> Fit:
 
 def least_gap_mm(
     made: MoldSet,
-    cells: list[tuple[int, int]],
+    cells: Sequence[tuple[float, float]],
     span_mm: tuple[float, float],
     pair: tuple[Any, Any],
 ) -> float:
@@ -315,6 +397,13 @@ def check_mold(
                 f"mold: {name} has a face of {release.draft_deg:.3f} degrees against the pull, "
                 f"below the required {required:g}; lower [mold] draft_deg",
             )
+    for number, fit in audit.strips.items():
+        if fit.bodies != 1:
+            raise NumericalError(
+                "mold-strip-in-pieces",
+                f"mold: the cavity of strip {strip_label(number)} holds {fit.bodies} separate "
+                "pieces; please report this design",
+            )
     if audit.shared_mm3 > shared_mm3 or audit.volume_error > volume_tol:
         raise NumericalError(
             "mold-volume-mismatch",
@@ -343,6 +432,8 @@ def volumes_mm3(
     dome, core = audit.halves
     above = dome.trim_by_plane((0.0, 0.0, 1.0), 0.0)
     filled = float(above.hull().volume() - above.volume())
+    if sizes.strips is not None:
+        cavities += scale**3 * sum(sizes.strips.web_of_mm3(one.number) for one in made.plan.strips)
     found = {"switches": cavities, "rubber": filled + max(0.0, stems)}
     if section.way == "silicone-master":
         grown = 1.0 / (1.0 - section.shrink_silicone) ** 3
@@ -367,6 +458,10 @@ def audit_facts(made: MoldSet, audit: Audit) -> dict[str, Any]:
     for run in plan.runs:
         label = sizes.labels[run.kind]
         cavities[label] = cavities.get(label, 0) + run.count
+    strips: dict[str, int] = {}
+    for strip in plan.strips:
+        label = strip_label(strip.number)
+        strips[label] = strips.get(label, 0) + 1
     plates = {}
     for name in made.parts:
         mesh = made.printed(name)
@@ -382,11 +477,14 @@ def audit_facts(made: MoldSet, audit: Audit) -> dict[str, Any]:
         "columns": plan.columns,
         "lines": plan.lines,
         "cavities": plan.cavities,
+        "castings": plan.castings,
         "labels": cavities,
+        "strips": strips,
         "plates": plates,
         "shared_mm3": audit.shared_mm3,
         "key_gap_mm": audit.key_gap_mm,
         "cap_gap_mm": audit.cap_gap_mm,
+        "strip_fits": {strip_label(number): asdict(fit) for number, fit in audit.strips.items()},
         "fits": {sizes.labels[kind]: asdict(fit) for kind, fit in audit.fits.items()},
         "volume_error": audit.volume_error,
         "hausdorff_mm": audit.hausdorff_mm,

@@ -9,6 +9,7 @@ from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.switch_table import MoldSection
 from phytac_design.fabrication.molds.plate_grid import SwitchKind
 from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.fabrication.switch_strips import StripSet
 from phytac_design.geometry.triangles import sides_for, widening
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
@@ -59,6 +60,10 @@ class MoldSizes:
         What is embossed beside each run of a kind.
     sides : int
         Corners of a cavity's rings.
+    strips : StripSet, optional
+        The strips, where switches are cast on some.
+    spacing_mm : float, optional
+        Least distance of two cavities, where they do not stand in a grid.
     """
 
     section: MoldSection
@@ -66,6 +71,13 @@ class MoldSizes:
     cavities: Mapping[SwitchKind, Cavity]
     labels: Mapping[SwitchKind, str]
     sides: int
+    strips: StripSet | None = None
+    spacing_mm: float | None = None
+
+    @property
+    def rubber_scale(self) -> float:
+        """Scale factor of cavities and of their places."""
+        return 1.0 / (1.0 - self.section.shrink_rubber)
 
     @property
     def print_scale(self) -> float:
@@ -149,7 +161,18 @@ class MoldSizes:
     def trough_wall_mm(self) -> float:
         """Least wall between two troughs, at their mouths."""
         wide = max(self.trough_mm(cavity, -self.depth_mm) for cavity in self.cavities.values())
-        return self.pitch_mm - 2.0 * wide
+        return (self.spacing_mm or self.pitch_mm) - 2.0 * wide
+
+    @property
+    def web_mm(self) -> tuple[float, float]:
+        """Thickness of the webs, and half their width at the foot; 0 without strips.
+
+        Their sides lean by ``flank_deg``.
+        """
+        if self.strips is None:
+            return 0.0, 0.0
+        section, scale = self.strips.section, self.rubber_scale
+        return scale * section.web_mm, 0.5 * scale * section.web_width_mm
 
     def key(self, *, socket: bool) -> FloatArray:
         """Section (2, 2) of a key that rises from z = 0, or of its socket."""

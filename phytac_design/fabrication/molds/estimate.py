@@ -52,6 +52,12 @@ def mold_volumes(plan: PlateLayout, sizes: MoldSizes) -> MoldVolumes:
     vents = sum(count * vent_mm3(sizes, cavity) for count, cavity in cavities)
     # What lies between the parting plane and the relief around the rings, filled with rubber.
     pads = (plan.cavities + len(plan.keys)) * _cone_mm3(sizes.pad_mm, relief, flank)
+    web = 0.0
+    if sizes.strips is not None:
+        pads = _pads_mm3(plan, sizes)
+        web = sum(sizes.strips.web_of_mm3(strip.number) for strip in plan.strips)
+        web *= sizes.rubber_scale**3
+    domes += web
     channels = body(moat, relief, flank) - pads
     # Below the parting plane the moat's fence stands around the core half.
     opening = body(moat, relief + section.fence_mm, flank) - pads
@@ -96,6 +102,27 @@ def _frustum_mm3(
 def _cone_mm3(radius_mm: float, height_mm: float, tangent: float) -> float:
     wide = radius_mm + height_mm * tangent
     return float(np.pi / 3.0 * height_mm * (radius_mm**2 + radius_mm * wide + wide**2))
+
+
+def _pads_mm3(plan: PlateLayout, sizes: MoldSizes) -> float:
+    """Rings and lands of webs, which overlap, up to the relief: areas at three heights."""
+    from manifold3d import CrossSection, OpType
+
+    flank, areas = float(np.tan(np.radians(sizes.flank_deg))), []
+    cells = [*plan.keys, *(cell for run in plan.runs for cell in run.cells)]
+    for height in (0.0, 0.5 * sizes.section.overflow_mm, sizes.section.overflow_mm):
+        disc = CrossSection.circle(sizes.pad_mm + height * flank, 64)
+        parts = [disc.translate(tuple(at)) for at in plan.centre_mm(cells, sizes.pitch_mm)]
+        half = sizes.web_mm[1] + sizes.section.land_mm + height * flank
+        for strip in plan.strips:
+            at = plan.centre_mm(strip.cells, sizes.pitch_mm)
+            for first, last in strip.bridges:
+                way = at[last] - at[first]
+                aside = half * np.array([-way[1], way[0]]) / np.hypot(*way)
+                corners = [at[first] - aside, at[last] - aside, at[last] + aside, at[first] + aside]
+                parts.append(CrossSection([np.array(corners)]))
+        areas.append(float(CrossSection.batch_boolean(parts, OpType.Add).area()))
+    return sizes.section.overflow_mm / 6.0 * (areas[0] + 4.0 * areas[1] + areas[2])
 
 
 def _dome_mm3(cavity: Cavity) -> float:

@@ -1,7 +1,7 @@
 """All plates or trays of a design's switches, split into sets that fit the printer's bed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,8 +19,12 @@ from phytac_design.fabrication.molds.plates import (
     dome_tray,
     tray_edge_mm,
 )
+from phytac_design.fabrication.molds.strip_layout import KEY_LINES, Room, plan_strip_sets
+from phytac_design.fabrication.molds.strip_plan import plan_strips
 from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.fabrication.switch_strips import StripSet, web_refusal
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.solid_mesh import stl_triangles, to_manifold
 from phytac_shapes.errors import DesignError
 
@@ -62,12 +66,40 @@ class MoldSet:
         return stl_triangles(solid)
 
 
+def strips_of(
+    sensor: Sensor, switches: SwitchSet, *, tolerance_mm: float = 0.01
+) -> StripSet | None:
+    """Strips of a sensor's switches; None where all are single.
+
+    Raises
+    ------
+    DesignError
+        If the design asks for strips and none fits, or no mold fits the bed.
+    """
+    design = sensor.design
+    if design.strip.form == "single" or not switches.kinds:
+        return None
+    sizes = make_sizes(design.mold, design.print_rules, switches, tolerance_mm)
+    room = _room(sizes, design.print_rules, strips=True)
+    strips = plan_strips(sensor, switches, sizes, room)
+    reason = web_refusal(design.strip, switches)
+    if reason or not strips.webs:
+        reason = reason or next(iter(strips.why_single.values()))
+        raise DesignError(
+            "no-strip-fits",
+            f"no switches can be cast on strips: {reason}; change [strip], or set strip.form = "
+            '"single"',
+        )
+    return strips
+
+
 def plan_molds(
     section: MoldSection,
     rules: PrintSection,
     switches: SwitchSet,
     *,
     tolerance_mm: float = 0.01,
+    strips: StripSet | None = None,
 ) -> tuple[MoldSizes, list[PlateLayout]]:
     """Sizes of the molds for all switches, and the grids of as few sets as the bed allows.
 
@@ -77,23 +109,41 @@ def plan_molds(
         If no set fits the bed.
     """
     sizes = make_sizes(section, rules, switches, tolerance_mm)
-    rigid = section.way == "rigid"
-    if rigid:
+    room = _room(sizes, rules, strips=strips is not None)
+    if strips is not None:
+        plans = plan_strip_sets(strips, switches, room, sizes.rubber_scale)
+        spacing = min(plan.spacing_mm(sizes.pitch_mm) for plan in plans)
+        sizes = replace(sizes, strips=strips, spacing_mm=spacing)
+    else:
+        counts = [(kind, len(switches.markers_of(kind))) for kind in switches.kinds]
+        plans = plan_sets(counts, room.columns, room.lines)
+    if section.way == "rigid":
         check_troughs(sizes)
-    edge = dome_edge_mm(sizes) if rigid else tray_edge_mm(sizes)
+    return sizes, plans
+
+
+def _room(sizes: MoldSizes, rules: PrintSection, *, strips: bool) -> Room:
+    """Largest grid of cells that fits the bed.
+
+    Raises
+    ------
+    DesignError
+        If it is too small.
+    """
+    edge = dome_edge_mm(sizes) if sizes.section.way == "rigid" else tray_edge_mm(sizes)
     wide, deep, _ = (side / sizes.print_scale for side in _bed(rules))
     columns, lines = (int((side - 2.0 * edge) / sizes.pitch_mm) for side in (wide, deep))
-    if min(columns, lines) < LEAST:
-        least = sizes.print_scale * (LEAST * sizes.pitch_mm + 2.0 * edge)
+    least = (LEAST, LEAST + KEY_LINES if strips else LEAST)
+    if columns < least[0] or lines < least[1]:
+        sides = [sizes.print_scale * (cells * sizes.pitch_mm + 2.0 * edge) for cells in least]
         raise DesignError(
             "mold-exceeds-bed",
-            f"the smallest mold ({section.way}) of these switches is {least:.0f} x {least:.0f} "
-            f"mm, the printer's bed {rules.bed_mm[0]:g} x {rules.bed_mm[1]:g} mm, and a mold is "
-            "not split further; lower [mold] wall_mm, moat_mm or channel_mm, or take a larger "
-            "[print_rules] bed_mm",
+            f"the smallest mold ({sizes.section.way}) of these switches is {sides[0]:.0f} x "
+            f"{sides[1]:.0f} mm, the printer's bed {rules.bed_mm[0]:g} x {rules.bed_mm[1]:g} mm, "
+            "and a mold is not split further; lower [mold] wall_mm, moat_mm or channel_mm, or "
+            "take a larger [print_rules] bed_mm",
         )
-    counts = [(kind, len(switches.markers_of(kind))) for kind in switches.kinds]
-    return sizes, plan_sets(counts, columns, lines)
+    return Room(columns=columns, lines=lines, pitch_mm=sizes.pitch_mm)
 
 
 def make_molds(
@@ -102,6 +152,7 @@ def make_molds(
     switches: SwitchSet,
     *,
     tolerance_mm: float = 0.01,
+    strips: StripSet | None = None,
 ) -> list[MoldSet]:
     """Molds for all switches of a design, in as few sets as the bed allows.
 
@@ -110,7 +161,7 @@ def make_molds(
     DesignError
         If no set fits the bed, or the printer cannot make a detail.
     """
-    sizes, plans = plan_molds(section, rules, switches, tolerance_mm=tolerance_mm)
+    sizes, plans = plan_molds(section, rules, switches, tolerance_mm=tolerance_mm, strips=strips)
     made = [
         MoldSet(
             plan=plan,

@@ -13,6 +13,7 @@ from phytac_design.fabrication.molds.audit import (
     volumes_mm3,
 )
 from phytac_design.fabrication.molds.make import MoldSet
+from phytac_design.fabrication.molds.plate_grid import Run
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.solids.mesh_export import stl_bytes
 
@@ -65,15 +66,23 @@ def _table(made: list[MoldSet], switches: SwitchSet) -> str:
     rows = [
         [
             each.plan.number,
-            item.line + 1,
-            item.start + 1,
-            item.count,
+            f"{line + 1:.6g}",
+            f"{first + 1:.6g}",
+            count,
             each.sizes.labels[item.kind],
             f"{switches.lengths_mm[item.kind[1]]:.1f}",
             f"{switches.threshold_N[item.kind[0]]:g}",
         ]
         for each in made
         for item in each.plan.runs
+        for first, line, count in _runs(item)
     ]
     columns = ("set", "line", "first", "count", "label", "length_mm", "threshold_N")
     return csv_text(columns, rows)
+
+
+def _runs(run: Run) -> list[tuple[float, float, int]]:
+    """First cell, line and cells of a run; each place of a strip for itself."""
+    if run.places:
+        return [(column, line, 1) for column, line in run.places]
+    return [(run.start, run.line, run.count)]

@@ -22,17 +22,42 @@ class Run:
         As in ``SwitchSet.kinds``.
     line, start, count : int
         Line, first cell and cells.
+    places : tuple of (float, float)
+        On strips: where the cavities are instead, as (column, line), between cells too.
     """
 
     kind: SwitchKind
     line: int
     start: int
     count: int
+    places: tuple[tuple[float, float], ...] = ()
 
     @property
-    def cells(self) -> list[tuple[int, int]]:
+    def cells(self) -> Sequence[tuple[float, float]]:
         """Cells as (column, line)."""
-        return [(self.start + k, self.line) for k in range(self.count)]
+        return self.places or [(self.start + k, self.line) for k in range(self.count)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedStrip:
+    """Cavity of a strip.
+
+    Attributes
+    ----------
+    number : int
+        As in ``SwitchStrip.number``.
+    cells : tuple of (float, float)
+        Places of its switches as (column, line), between cells too.
+    bridges : tuple of (int, int)
+        Pairs of them that a web joins.
+    label_cell : (float, float)
+        Place of its label.
+    """
+
+    number: int
+    cells: tuple[tuple[float, float], ...]
+    bridges: tuple[tuple[int, int], ...]
+    label_cell: tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +72,10 @@ class PlateLayout:
         The cavities.
     number, total : int
         This set, from 1, and how many there are.
+    strips : tuple of PlacedStrip
+        The strips that its cavities belong to; none where switches are cast one by one.
+    castings : int
+        How often the set is cast.
     """
 
     columns: int
@@ -54,17 +83,28 @@ class PlateLayout:
     runs: tuple[Run, ...]
     number: int = 1
     total: int = 1
+    strips: tuple[PlacedStrip, ...] = ()
+    castings: int = 1
 
     @property
     def keys(self) -> list[tuple[int, int]]:
         """Cells of the registration keys; no turn of the plate brings them onto themselves."""
         right, back = self.columns - 1, self.lines - 1
-        return [(0, 0), (right, 0), (0, back), (right, back - 1)]
+        # Strips fill all lines but the first and the last.
+        last = (right - 1, back) if self.strips else (right, back - 1)
+        return [(0, 0), (right, 0), (0, back), last]
 
     @property
     def title(self) -> tuple[int, int]:
         """Cell of the set's number."""
         return (1, 0)
+
+    @property
+    def labels(self) -> dict[tuple[float, float], SwitchKind | int]:
+        """Cells of labels, with the kind of switch or the number of the strip that they name."""
+        if self.strips:
+            return {strip.label_cell: strip.number for strip in self.strips}
+        return {(run.start - 1, run.line): run.kind for run in self.runs}
 
     @property
     def cavities(self) -> int:
@@ -74,14 +114,23 @@ class PlateLayout:
     @property
     def blank(self) -> list[tuple[int, int]]:
         """Cells that hold nothing."""
-        taken = {*self.keys, self.title}
+        taken: set[tuple[float, float]] = {*self.keys, self.title}
         for run in self.runs:
             taken |= {(run.start - 1, run.line), *run.cells}
         return [
             (x, y) for y in range(self.lines) for x in range(self.columns) if (x, y) not in taken
         ]
 
-    def centre_mm(self, cells: Sequence[tuple[int, int]], pitch_mm: float) -> FloatArray:
+    def spacing_mm(self, pitch_mm: float) -> float:
+        """Least distance of two cavities along x or y, whichever is larger for them, mm."""
+        if not self.strips:
+            return pitch_mm
+        at = self.centre_mm([cell for run in self.runs for cell in run.cells], pitch_mm)
+        away = np.abs(at[:, None] - at[None]).max(axis=2)
+        np.fill_diagonal(away, np.inf)
+        return float(away.min())
+
+    def centre_mm(self, cells: Sequence[tuple[float, float]], pitch_mm: float) -> FloatArray:
         """Middles of cells (m, 2); the grid's own middle is the origin."""
         middle = 0.5 * np.array([self.columns - 1.0, self.lines - 1.0])
         return pitch_mm * (np.asarray(cells, dtype=np.float64).reshape(-1, 2) - middle)

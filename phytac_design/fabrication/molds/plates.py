@@ -38,8 +38,9 @@ from phytac_design.fabrication.molds.cavity import KEY_SIDES, EDGE_mm, MoldSizes
 from phytac_design.fabrication.molds.labels import label
 from phytac_design.fabrication.molds.plate_grid import PlateLayout, Run
 from phytac_design.fabrication.switch_set import revolve
+from phytac_design.fabrication.switch_strips import strip_label
 from phytac_design.geometry.triangles import TriangleMesh, copies
-from phytac_design.solids.solid_mesh import SLIVER_mm, to_manifold, to_triangles, united
+from phytac_design.solids.solid_mesh import SLIVER_mm, hull, to_manifold, to_triangles, united
 from phytac_shapes.errors import DesignError
 
 OVER_mm = 0.1
@@ -115,14 +116,18 @@ def around_grid(plan: PlateLayout, sizes: MoldSizes, *ends: tuple[float, float])
     return frustum(*((z, -half - away, half + away) for z, away in ends))
 
 
-class _Cells:
+class Cells:
     """Solids of revolution, labels and troughs over the cells of a plan."""
 
     def __init__(self, plan: PlateLayout, sizes: MoldSizes) -> None:
         self.plan, self.sizes = plan, sizes
 
     def turned(
-        self, cells: Sequence[tuple[int, int]], profile: Sequence[Any], sides: int, z_mm: float = 0
+        self,
+        cells: Sequence[tuple[float, float]],
+        profile: Sequence[Any],
+        sides: int,
+        z_mm: float = 0,
     ) -> Any:
         """Bodies of revolution over cells, of a half section from the axis on top around."""
         mesh = revolve(np.array(profile, dtype=np.float64), sides=sides)
@@ -139,7 +144,10 @@ class _Cells:
     def labels(self, z_mm: float) -> Any:
         """Labels before each run and the set's number, standing on a height."""
         plan, sizes = self.plan, self.sizes
-        texts = {(run.start - 1, run.line): sizes.labels[run.kind] for run in plan.runs}
+        texts = {
+            cell: strip_label(name) if isinstance(name, int) else sizes.labels[name]
+            for cell, name in plan.labels.items()
+        }
         texts[plan.title] = f"{plan.number}/{plan.total}"
         stroke, height = label_sizes_mm(sizes.rules)
         return united(
@@ -151,12 +159,35 @@ class _Cells:
             ]
         )
 
-    def trough(self, run: Run, z_mm: tuple[float, float], gap_mm: float = 0.0) -> Any:
-        """Trough behind a run's stems between two heights, or the boss in it."""
+    def troughs(self, run: Run, z_mm: tuple[float, float], gap_mm: float = 0.0) -> list[Any]:
+        """Troughs behind a run's stems between two heights, or the bosses in them.
+
+        One for a run on a line; one for each stem on strips.
+        """
         centre = self.plan.centre_mm(run.cells, self.sizes.pitch_mm)
         halves = [self.sizes.trough_mm(self.sizes.cavities[run.kind], z) - gap_mm for z in z_mm]
-        ends = zip(z_mm, halves, strict=True)
-        return frustum(*((z, centre[0] - half, centre[-1] + half) for z, half in ends))
+        spans = [(at, at) for at in centre] if run.places else [(centre[0], centre[-1])]
+        return [
+            frustum(*((z, low - half, high + half) for z, half in zip(z_mm, halves, strict=True)))
+            for low, high in spans
+        ]
+
+    def webs(self, z_mm: tuple[float, float], half_mm: tuple[float, float]) -> list[Any]:
+        """Bars between the axes of joined switches, from a height and half width to another."""
+        out = []
+        for strip in self.plan.strips:
+            at = self.plan.centre_mm(strip.cells, self.sizes.pitch_mm)
+            for first, last in strip.bridges:
+                way = at[last] - at[first]
+                aside = np.array([-way[1], way[0]]) / np.hypot(*way)
+                points = [
+                    [*(end + side * half * aside), z]
+                    for z, half in zip(z_mm, half_mm, strict=True)
+                    for end in (at[first], at[last])
+                    for side in (-1.0, 1.0)
+                ]
+                out.append(hull(np.array(points)))
+        return out
 
 
 def _dome_half(plan: PlateLayout, sizes: MoldSizes, body: Any) -> Any:
@@ -165,7 +196,7 @@ def _dome_half(plan: PlateLayout, sizes: MoldSizes, body: Any) -> Any:
     Around each bowl a flat ring lies in the parting plane; all else is ``overflow_mm`` higher, so
     that rubber runs off, plates touch on few places, and a blade goes between them.
     """
-    section, cells = sizes.section, _Cells(plan, sizes)
+    section, cells = sizes.section, Cells(plan, sizes)
     relief, moat = section.overflow_mm, section.wall_mm + section.moat_mm
     flank = float(np.tan(np.radians(sizes.flank_deg)))
     low = -section.fence_mm - OVER_mm
@@ -173,9 +204,20 @@ def _dome_half(plan: PlateLayout, sizes: MoldSizes, body: Any) -> Any:
     # Rings reach into the body, but not as far as their neighbours.
     high = relief + min(0.4 * section.channel_mm / flank, section.backing_mm)
     ring = [(0, high), (sizes.pad_mm + high * flank, high), (sizes.pad_mm, 0), (0, 0)]
-    rings = [cells.turned(run.cells, ring, sizes.sides) for run in plan.runs]
+    # On strips rings overlap: each is a solid of its own.
+    rings = [
+        cells.turned(part, ring, sizes.sides)
+        for run in plan.runs
+        for part in [[cell] for cell in run.places] or [list(run.cells)]
+    ]
     rings.append(cells.turned(plan.keys, ring, KEY_SIDES))
     cutters = [cells.keys(0.0, socket=True), cells.labels(relief)]
+    if sizes.strips is not None:
+        thick, half = sizes.web_mm
+        rings += cells.webs(
+            (0.0, high), (half + section.land_mm, half + section.land_mm + high * flank)
+        )
+        cutters += cells.webs((-OVER_mm, thick), (half + OVER_mm * flank, half - thick * flank))
     for run in plan.runs:
         over = sizes.cavities[run.kind].over
         ends = [(over[0, 0], -OVER_mm), (0, -OVER_mm)]
@@ -191,7 +233,7 @@ def _core_half(
 
     ``vent_level_mm`` is the depth to which a vent continues below each stem.
     """
-    cells = _Cells(plan, sizes)
+    cells = Cells(plan, sizes)
     added, stems = [cells.keys(0.0, socket=False), cells.labels(0.0)], []
     for run in plan.runs:
         cavity = sizes.cavities[run.kind]
@@ -222,19 +264,20 @@ def dome_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
 
 def core_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
     """Plate below the cores' face; behind each run of stems a trough down to their ends."""
-    wall, depth, cells = sizes.section.wall_mm, sizes.depth_mm, _Cells(plan, sizes)
+    wall, depth, cells = sizes.section.wall_mm, sizes.depth_mm, Cells(plan, sizes)
     body = around_grid(plan, sizes, (0.0, wall), (-depth, wall + depth * draft_of(sizes)))
     cutters = [cells.keys(-depth, socket=True)]
     cutters += [
-        cells.trough(run, (-depth - OVER_mm, -sizes.cavities[run.kind].reach_mm))
+        trough
         for run in plan.runs
+        for trough in cells.troughs(run, (-depth - OVER_mm, -sizes.cavities[run.kind].reach_mm))
     ]
     return _mesh(_core_half(plan, sizes, body) - united(cutters))
 
 
 def cap_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
     """Cap behind the core plate: a boss in each trough, pads with keys, a gap everywhere else."""
-    section, draft, cells = sizes.section, draft_of(sizes), _Cells(plan, sizes)
+    section, draft, cells = sizes.section, draft_of(sizes), Cells(plan, sizes)
     level = -sizes.depth_mm - section.overflow_mm
     away = section.wall_mm + sizes.depth_mm * draft
     low = (level - section.backing_mm, away + section.backing_mm * draft)
@@ -243,12 +286,13 @@ def cap_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
     pad = [(0, high), (sizes.pad_mm, high), (wide, 0), (wide, -OVER_mm), (0, -OVER_mm)]
     gap = section.key_clearance_mm / np.cos(np.radians(sizes.trough_deg))
     bosses = [
-        cells.trough(
+        boss
+        for run in plan.runs
+        for boss in cells.troughs(
             run,
             (level - OVER_mm, -sizes.cavities[run.kind].reach_mm - section.vent_gap_mm),
             gap,
         )
-        for run in plan.runs
     ]
     body = around_grid(plan, sizes, low, (level, away))
     pads = cells.turned(plan.keys, pad, KEY_SIDES, level)

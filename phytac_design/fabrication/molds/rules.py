@@ -24,6 +24,9 @@ def rule_rows(sizes: MoldSizes) -> list[dict[str, Any]]:
         ("wall around a key's socket", sizes.key_wall_mm, rules.wall_free_min_mm),
         ("ridge of a core", min(_ridge_mm(cavity) for cavity in cavities), rules.wall_min_mm),
     ]
+    if sizes.strips is not None:
+        web = sizes.strips.section
+        rows.append(("web between bowls", web.web_width_mm, rules.engrave_min_mm))
     if section.way == "rigid":
         tip = min(float(cavity.under[-1, 0]) for cavity in cavities)
         rows.append(("stem hole", 2.0 * tip, rules.hole_min_mm))
