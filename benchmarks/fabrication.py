@@ -18,6 +18,7 @@ from benchmarks import (
     fabrication_inserts,
     fabrication_inspect,
     fabrication_parts,
+    fabrication_strips,
     fabrication_switch,
 )
 from benchmarks.fabrication_parts import repair_row, slice_row
@@ -218,6 +219,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "families": partial(fabrication_families.add_rows, quick=quick),
         "family decoders": partial(fabrication_families.decoder_rows, quick=quick),
         "molds": partial(fabrication_parts.mold_rows, quick=quick),
+        "strips": partial(fabrication_strips.add_rows, quick=quick),
         "hardware": partial(fabrication_parts.hardware_rows, quick=quick),
         "inserts": partial(fabrication_inserts.add_rows, quick=quick),
         "inspect": partial(fabrication_inspect.add_rows, quick=quick),

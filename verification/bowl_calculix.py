@@ -47,7 +47,7 @@ def _job(body: BowlModel | CupModel, stroke_mm: float, steps: int, element: str)
     yield "*NSET, NSET=PAD"
     pad = np.intersect1d(body.model.tied, used)
     yield from (f"{k + 1}," for k in pad)
-    yield from _material(body.model.material)
+    yield from hyperelastic_lines(body.model.material)
     yield "*SOLID SECTION, ELSET=BODY, MATERIAL=RUBBER"
     yield "*BOUNDARY"
     held = np.all(body.model.held, axis=1)
@@ -60,7 +60,14 @@ def _job(body: BowlModel | CupModel, stroke_mm: float, steps: int, element: str)
     yield from ("*NODE PRINT, NSET=PAD", "RF", "*END STEP")
 
 
-def _material(material: Material) -> Iterator[str]:
+def hyperelastic_lines(material: Material) -> Iterator[str]:
+    """Lines of a material RUBBER.
+
+    Raises
+    ------
+    InputError
+        If CalculiX has no such law.
+    """
     yield "*MATERIAL, NAME=RUBBER"
     # CalculiX writes the volumetric part as (J − 1)² / D₁.
     if isinstance(material, Yeoh) and len(material.coefficients_MPa) in {1, 3}:
