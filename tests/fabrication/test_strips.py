@@ -23,7 +23,7 @@ from phytac_design.fabrication.molds.estimate import mold_volumes
 from phytac_design.fabrication.molds.make import MoldSet, make_molds, plan_molds, strips_of
 from phytac_design.fabrication.molds.plates import Cells
 from phytac_design.fabrication.molds.strip_layout import footprint
-from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.fabrication.switch_set import CupOutline, SwitchSet
 from phytac_design.fabrication.switch_strips import (
     StripSet,
     congruent,
@@ -34,11 +34,13 @@ from phytac_design.fabrication.switch_strips import (
     web_gap_mm,
 )
 from phytac_design.layout.sensor import Sensor
+from phytac_design.mechanics.switch.soft_cup import SoftCup
 from phytac_design.solids.solid_mesh import box, to_manifold, united
 from phytac_design.stages.mold_stage import MOLD
 from tests.fabrication.bench_cases import context_of, put
 from tests.fabrication.cases import design, family_design, shipped
 from tests.fabrication.molds import WAYS
+from tests.fabrication.test_cup_molds import MEMBRANE, PLUNGER
 from tests.refusals import refused
 
 SMALL: dict[str, Any] = {
@@ -274,6 +276,21 @@ def test_molds_of_strips_release_close_and_hold_the_strip(
     assert planned_mm3.rubber_mm3 == pytest.approx(poured["rubber"], rel=0.05)
     printed = sum(made.printed(name).volume_mm3 for name in made.parts)
     assert planned_mm3.printed_mm3 == pytest.approx(printed, rel=0.01)
+
+
+@pytest.mark.parametrize(("cup", "stop_mm"), [(PLUNGER, 1.2), (MEMBRANE, 1.5)])
+def test_switches_of_any_family_are_cast_on_strips(cup: SoftCup, stop_mm: float) -> None:
+    sensor, switches, _ = planned({"layout": {**SMALL["layout"], "rows": 2}})
+    outline = CupOutline(cup=cup, stop_mm=stop_mm, stem_diameter_mm=1.45)
+    cups = replace(switches, bowls=(outline,))
+    strips = strips_of(sensor, cups)
+    assert strips is not None
+    assert strips.singles == 0
+    section, rules = sensor.design.mold, sensor.design.print_rules
+    (made,) = make_molds(section, rules, cups, strips=strips, tolerance_mm=0.02)
+    audit = audit_set(made, fine_sections(cups))
+    check_mold(made, audit)
+    assert all(fit.bodies == 1 for fit in audit.strips.values())
 
 
 def test_a_web_that_is_missing_or_too_thick_is_found(
