@@ -220,6 +220,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "family decoders": partial(fabrication_families.decoder_rows, quick=quick),
         "molds": partial(fabrication_parts.mold_rows, quick=quick),
         "strips": partial(fabrication_strips.add_rows, quick=quick),
+        "strip-coupling": partial(fabrication_strips.coupling_rows, quick=quick),
         "hardware": partial(fabrication_parts.hardware_rows, quick=quick),
         "inserts": partial(fabrication_inserts.add_rows, quick=quick),
         "inspect": partial(fabrication_inspect.add_rows, quick=quick),
