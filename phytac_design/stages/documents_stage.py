@@ -75,6 +75,10 @@ def run(context: Context, folder: Path) -> None:
         recipe = make_recipe(cast, rubber_mm3(rows), _volume_mm3(rows, "silicone"), castings)
         text = recipe_text(cast, recipe, strips, body=switches.body)
         write_text(folder, "bench/casting.md", text)
+    flat = ""
+    if strips is not None:
+        flat = strips_svg(context.sensor, strips)
+        write_text(folder, "bench/strips.svg", flat)
     context.progress("bench: assembly sheet")
     sheet = assembly_html(
         cast,
@@ -87,7 +91,7 @@ def run(context: Context, folder: Path) -> None:
         pictures=pictures(context, strips),
         section=section_svg(design, markers, switches) if recipe else "",
         strips=strips,
-        flat=strips_svg(context.sensor, strips) if strips else "",
+        flat=flat,
     )
     write_text(folder, "bench/assembly.html", sheet)
     masses = {name: bill.total_mass_g(rows, name) for name in ("resin", "tpu", "silicone")}

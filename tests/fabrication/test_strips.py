@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from phytac_design.design.design_file import design_hash
+from phytac_design.fabrication.documents.bill_of_materials import switch_parts
 from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps
 from phytac_design.fabrication.documents.strip_drawing import strips_svg, wrapped_webs
 from phytac_design.fabrication.effort.effort import effort_of, nominal_switches
@@ -379,6 +380,9 @@ def test_documents_say_how_strips_are_made() -> None:
     steps = " ".join(recipe_steps(sensor.design, recipe, strips))
     assert "Dip the ends of all stems of a strip" in steps
     assert "filled 2 times" in steps
+    rows = {row["part"]: row for row in switch_parts(strips.switches, strips)}
+    assert rows["strip S1"]["count"] == len(strips.alike(1))
+    assert "12 switches, 1.0 to 2.3 mm" in rows["strip S1"]["note"]
     drawing = strips_svg(sensor, strips)
     assert all(f">{name}<" in drawing for name in ("S1", "0.0", "1.0"))
     web = wrapped_webs(sensor, strips)

@@ -192,7 +192,9 @@ def assembly_html(
     shown_switches = switch_table(switches)
     if strips is not None:
         shown_switches = strip_table(strips) + svg_figure(
-            flat, "The different strips from outside, 1:1: place of each switch and its marker."
+            flat,
+            "The different strips as cast, from outside: each switch with its marker "
+            "(1:1 in bench/strips.svg).",
         )
         place[:2] = [
             (

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from phytac_design.design.shell_materials import shell_words
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.bill import bill_part, csv_text
@@ -89,6 +91,7 @@ def _strip_parts(strips: StripSet) -> list[dict[str, Any]]:
     for number in strips.numbers:
         alike = strips.alike(number)
         length = strips.switches.lengths_mm[strips.switches.length[alike[0].markers]]
+        reach = " to ".join(f"{each:.1f}" for each in np.unique([length.min(), length.max()]))
         several = f"{alike[0].count} switches, " if alike[0].count > 1 else ""
         out.append(
             bill_part(
@@ -96,8 +99,7 @@ def _strip_parts(strips: StripSet) -> list[dict[str, Any]]:
                 count=len(alike),
                 material="tpu",
                 volume_mm3=strips.rubber_of_mm3(number),
-                note=f"{several}{length.min():.1f} to {length.max():.1f} mm from outer face to "
-                "tip; cast",
+                note=f"{several}{reach} mm from outer face to tip; cast",
             )
         )
     return out
