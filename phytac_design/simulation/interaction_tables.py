@@ -186,9 +186,9 @@ class InteractionSolver:
         push[:, self.held] = 0.0
         out = []
         for first in range(0, len(pairs), SETTINGS.batch):
-            part = slice(first, first + SETTINGS.batch)
-            moved = self.shell.model.solve(push[part].T).motion.reshape(len(self.motion), -1)
-            for (i, j), motion in zip(pairs[part], moved.T, strict=True):
+            some = slice(first, first + SETTINGS.batch)
+            moved = self.shell.model.solve(push[some].T).motion.reshape(len(self.motion), -1)
+            for (i, j), motion in zip(pairs[some], moved.T, strict=True):
                 slope = np.einsum(
                     "nij,nj->ni", self.see.slope, self.shell.kinematics.linear(motion)
                 )
