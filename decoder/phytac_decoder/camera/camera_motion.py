@@ -32,6 +32,15 @@ CAUCHY_SCALE = 2.0
 """Distance of a marker, over the median one, at which it has half of its weight."""
 
 
+def median(values: FloatArray) -> float:
+    """Median of finite values (n,); ``np.median`` takes three times as long for some hundred."""
+    half = len(values) // 2
+    if len(values) % 2:
+        return float(np.partition(values, half)[half])
+    low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1].tolist()
+    return float((low + high) / 2.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class MountTolerance:
     """How far a camera may move against the shell: standard deviations of the prior.
@@ -193,7 +202,7 @@ class CameraMotion:
             inner = rows @ self.first.T + noise_px**2 * self.prior
             b[:] = np.linalg.solve(inner, rows @ shift_px)
             off = np.hypot.reduce((shift_px - b @ self.first).reshape(-1, 2), axis=1)
-            usual = max(float(np.median(off)), noise_px)
+            usual = max(median(off), noise_px)
             weight = np.repeat(1.0 / (1.0 + (off / (CAUCHY_SCALE * usual)) ** 2), 2)
         return np.asarray(b)
 

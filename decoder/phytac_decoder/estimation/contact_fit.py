@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from phytac_decoder.camera.camera_motion import CameraMotion
+from phytac_decoder.camera.camera_motion import CameraMotion, median
 from phytac_decoder.estimation.contact_shifts import (
     SHEAR_START,
     UNKNOWNS,
@@ -441,7 +441,7 @@ def robust_cost(residual_px: FloatArray, inverse: FloatArray) -> tuple[float, Fl
         Inverse variances; 0 for a marker that was not found.
     """
     square = (inverse * residual_px**2).reshape(-1, 2).sum(axis=1)
-    usual = float(np.median(square[inverse[::2] > 0.0])) if np.any(inverse) else 0.0
+    usual = median(square[inverse[::2] > 0.0]) if np.any(inverse) else 0.0
     # 2: the expected sum over two coordinates.
     limit = SETTINGS.robust_threshold**2 * max(usual, 2.0)
     over = np.maximum(square / limit, 1.0)

@@ -18,7 +18,7 @@ A force along the surface adds shifts in proportion to its components along and 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import factorial
+from math import factorial, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -349,6 +349,12 @@ def _balanced(xy: FloatArray, far: BoolArray) -> IntArray:
 
 def _tangent_coordinates(arm: FloatArray, along: FloatArray, around: FloatArray) -> FloatArray:
     """Return coordinates (…, 2) of arms (…, 3) in a tangent plane, as long as the arms."""
+    if arm.size == along.size == 3:  # Plain numbers are ten times as fast for one.
+        a, p, q = arm.ravel().tolist(), along.ravel().tolist(), around.ravel().tolist()
+        x, y = a[0] * p[0] + a[1] * p[1] + a[2] * p[2], a[0] * q[0] + a[1] * q[1] + a[2] * q[2]
+        length, flat = sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]), sqrt(x * x + y * y)
+        stretch = min(length / (flat or 1.0), 2.0)
+        return np.array([x * stretch, y * stretch]).reshape(*arm.shape[:-1], 2)
     xy = np.stack([np.sum(arm * along, axis=-1), np.sum(arm * around, axis=-1)], axis=-1)
     flat = np.linalg.norm(xy, axis=-1)
     stretch = np.linalg.norm(arm, axis=-1) / np.where(flat > 0.0, flat, 1.0)
