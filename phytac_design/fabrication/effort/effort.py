@@ -4,7 +4,7 @@ Counts are those of the bill of materials without the calibration kit and withou
 Switches are not solved: the molds are planned, and the rubber is estimated, with nominal ones.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from phytac_design.fabrication.effort.shell_estimate import shell_pieces, shell_
 from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
 from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.inserts.insert_solids import sprue_volume_mm3
-from phytac_design.fabrication.inserts.sprues import plan_sprues, plates, push_s
+from phytac_design.fabrication.inserts.sprues import Sprue, plan_sprues, plates
 from phytac_design.fabrication.molds.estimate import MoldVolumes, mold_volumes
 from phytac_design.fabrication.molds.make import MAKERS, plan_molds, strips_of
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches
@@ -176,7 +176,7 @@ def effort_of(sensor: Sensor) -> Effort:
     }
     beds = sum(map(len, plates(sprues, design).values()))
     hours = _hours(design, parts, ends=ends, castings=sum(castings), stems=on_strips, beds=beds)
-    hours["insert"] = push_s(design, sprues) / 3600.0
+    hours["insert"] = _insert_s(design, sprues) / 3600.0
     poured = {"rubber": "tpu", "silicone": "silicone"}
     masses = {
         name: mass_g(poured.get(name, "resin"), volume) or 0.0 for name, volume in volumes.items()
@@ -251,6 +251,16 @@ def _hardware(sensor: Sensor) -> HardwareAssembly:
         return make_hardware(sensor.design, sensor.surface)
     except DesignError:
         return HardwareAssembly()
+
+
+def _insert_s(design: Design, sprues: Sequence[Sprue]) -> float:
+    """Seconds in which the inserts of sprues are pushed in."""
+    each = design.effort
+    return sum(
+        each.sprue_s
+        + len(one.markers) * (each.insert_single_s if one.way == "single" else each.insert_s)
+        for one in sprues
+    )
 
 
 def _hours(

@@ -94,16 +94,18 @@ def plan_sprues(sensor: Sensor) -> list[Sprue]:
     if not markers.in_rows:
         ways = [""]
     plans = [_plan(sensor, way) for way in ways]
-    return min(plans, key=lambda plan: push_s(sensor.design, plan))
+    return min(plans, key=_handling)
 
 
-def push_s(design: Design, sprues: Sequence[Sprue]) -> float:
-    """Seconds in which the inserts of sprues are pushed in."""
-    each = design.effort
+def _handling(sprues: Sequence[Sprue]) -> float:
+    """Work to push a plan's inserts in, in inserts that need not be broken off first.
+
+    The ratios are those of the default times of the table ``[effort]``, which is no part of the
+    sensor: what is printed must not depend on it.
+    """
+    sprue, single = 5.0, 2.0
     return sum(
-        each.sprue_s
-        + len(one.markers) * (each.insert_single_s if one.way == "single" else each.insert_s)
-        for one in sprues
+        sprue + len(one.markers) * (single if one.way == "single" else 1.0) for one in sprues
     )
 
 
