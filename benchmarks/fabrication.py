@@ -223,6 +223,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "strip-coupling": partial(fabrication_strips.coupling_rows, quick=quick),
         "hardware": partial(fabrication_parts.hardware_rows, quick=quick),
         "inserts": partial(fabrication_inserts.add_rows, quick=quick),
+        "insert trials": partial(fabrication_inserts.add_trials, quick=quick),
         "inspect": partial(fabrication_inspect.add_rows, quick=quick),
     }
 

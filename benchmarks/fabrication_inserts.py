@@ -129,15 +129,16 @@ def add_printing(table: Table, name: str, painted: Sensor, made: Sensor) -> None
 def add_effort(table: Table, name: str, painted: Sensor, made: Sensor) -> None:
     """Parts, hours and mass."""
     old, new = effort_of(painted), effort_of(made)
-    parts = [each.parts["sprues"] + each.receptor_ends for each in (old, new)]
+    sprues = plan_sprues(made)
+    single = sum(len(sprue.markers) for sprue in sprues if sprue.way == "single")
     table.add(
-        f"{name}, inserts: sprues and painted ends that are handled",
-        parts[1],
+        f"{name}, inserts: sprues, single inserts and painted ends that are handled",
+        len(sprues) + single,
         "",
-        parts[0],
+        old.receptor_ends,
         "painted",
-        f"<= {parts[0] / 3.0:.4g}",
-        note=f"{new.inserts} inserts on {new.parts['sprues']} sprues",
+        f"<= {old.receptor_ends / 3.0:.4g}",
+        note=f"{new.inserts} inserts on {len(sprues)} sprues, {single} broken off one by one",
     )
     each = made.design.effort
     beds = new.hours["print"] - old.hours["print"]
@@ -284,14 +285,19 @@ def shapes(*, quick: bool) -> Iterator[tuple[str, Sensor, Sensor]]:
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
-    """Rows of three shapes, of patterns, of inspection, and of decoding."""
+    """Rows of three shapes and of patterns, from sizes and pictures."""
     for name, painted, made in shapes(quick=quick):
         add_visibility(table, name, painted, made)
         add_fits(table, name, made)
-        add_printing(table, name, painted, made)
         add_effort(table, name, painted, made)
         add_stiffness(table, name, painted, made)
     for name in PATTERNS[-1:] if quick else PATTERNS:
         add_patterns(table, name)
-    add_inspection(table, Sensor(variant("plane" if quick else "cylinder60", "insert")))
+
+
+def add_trials(table: Table, *, quick: bool) -> None:
+    """Rows of print rules, of an inspection, and of decoded frames."""
     add_decoding(table, quick=quick)
+    add_inspection(table, Sensor(variant("plane" if quick else "cylinder60", "insert")))
+    for name, painted, made in shapes(quick=quick):
+        add_printing(table, name, painted, made)
