@@ -207,7 +207,7 @@ def features(
         "hardware": solid,
         "mold": solid,
         "kit": solid,
-        "inserts": {"markers": n * design.receptor.has_inserts},
+        "inserts": {"one": 1.0, "markers": n * design.receptor.has_inserts},
         "printing": solid | {"tools": tools, "fine_tools": tools * n * fine},
         "bench": solid,
         "mesh": {"one": 1.0, "nodes": nodes},
