@@ -218,6 +218,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "switch": partial(fabrication_switch.add_rows, quick=quick),
         "families": partial(fabrication_families.add_rows, quick=quick),
         "family decoders": partial(fabrication_families.decoder_rows, quick=quick),
+        "family frames": partial(fabrication_families.frame_rows, quick=quick),
         "molds": partial(fabrication_parts.mold_rows, quick=quick),
         "strips": partial(fabrication_strips.add_rows, quick=quick),
         "strip-coupling": partial(fabrication_strips.coupling_rows, quick=quick),

@@ -147,7 +147,7 @@ def test_a_tip_covers_other_paint_as_its_receptor_turns(rig: Rig) -> None:
     frames = rig.imaging.read(rig.imaging.frame(motion, bits))
     np.testing.assert_array_equal(frames.bits, bits)
     error = rig.imaging.points(motion, bits).shift_px - frames.shift_px
-    without = rig.imaging._covered(motion, bits)
+    without = rig.imaging._covered(motion, bits, bits)
     assert rms(error[some]) < 2.0 * AGREE_px
     assert rms(without[some]) > 2.4 * AGREE_px
 
