@@ -122,7 +122,8 @@ def _refusal(
 ) -> str:
     """Why no rubber gives every threshold."""
     reasons = {
-        f"{force:g} N, {_name(one)}: {one.reason}": None
+        # Its own advice on what else to take is given once, below.
+        f"{force:g} N, {_name(one)}: {one.reason.partition('; take another')[0]}": None
         for force, found in zip(thresholds_N, compared, strict=True)
         for one in found
         if one.reason
