@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.effort.effort import effort_of, nominal_switches
+from phytac_design.fabrication.effort.effort import Effort, effort_of, nominal_switches
 from phytac_design.fabrication.molds.audit import audit_set, fine_sections
 from phytac_design.fabrication.molds.make import make_molds, strips_of
 from phytac_design.fabrication.switch_strips import StripSet, web_gap_mm
@@ -22,6 +22,8 @@ from phytac_design.mechanics.switch.switch_inputs import rubber_of
 from verification.strip_coupling import BowlPair, PairForces, Web, pair_forces
 
 MAIN = "cylinder60"
+EASY = "examples/uses/cylinder60_strips.toml"
+"""The same sensor with strips, plungers, one printer of several materials, and rigid molds."""
 PARTS_MAX, HOURS_SHARE = 60, 1.0 / 3.0
 """What strips are to reach on the main design: parts handled, hours after over before."""
 COUPLING_MAX = 5.0
@@ -48,37 +50,47 @@ def add_rows(table: Table, *, quick: bool) -> None:
         molds(table, in_strips(design))
     if not quick:
         molds(table, in_strips(load_design(MAIN), way="rigid"))
+        easy = load_design(EASY)
+        compare(table, effort_of(Sensor(load_design(MAIN))), easy, easy.name, main=True)
+        strips = strips_of(Sensor(easy), nominal_switches(Sensor(easy)))
+        assert strips is not None
+        fit(table, Sensor(easy), strips)
+        molds(table, easy)
 
 
 def handled(table: Table, design: Design) -> None:
     """Parts and hours, single and on strips."""
     before = effort_of(Sensor(design))
     for way in ("silicone-master", "rigid"):
-        after = effort_of(Sensor(in_strips(design, way=way)))
         label = f"{design.name}, strips, {way}"
-        main = design.name == MAIN
-        words = ", ".join(f"{count} {group}" for group, count in after.parts.items() if count)
-        table.add(
-            f"{label}: parts handled",
-            after.parts_handled,
-            "",
-            before.parts_handled,
-            "single switches",
-            f"<= {PARTS_MAX}" if main else None,
-            words,
-        )
-        pens = before.hours["paint_ends"]
-        rest = (after.hours_total - pens) / before.hours_total
-        table.add(
-            f"{label}: hand work over that of single switches",
-            after.hours_total / before.hours_total,
-            "ratio",
-            before.hours_total,
-            "h, single switches",
-            f"<= {HOURS_SHARE:.3f}" if main else None,
-            f"{after.hours_total:.2f} h, {after.castings} castings; {rest:.2f} without the "
-            f"{pens:.2f} h of painting receptor ends",
-        )
+        compare(table, before, in_strips(design, way=way), label, main=design.name == MAIN)
+
+
+def compare(table: Table, before: Effort, design: Design, label: str, *, main: bool) -> None:
+    """Parts and hours of a design on strips against those ``before``."""
+    after = effort_of(Sensor(design))
+    words = ", ".join(f"{count} {group}" for group, count in after.parts.items() if count)
+    table.add(
+        f"{label}: parts handled",
+        after.parts_handled,
+        "",
+        before.parts_handled,
+        "single switches",
+        f"<= {PARTS_MAX}" if main else None,
+        words,
+    )
+    pens = after.hours["paint_ends"]
+    rest = (after.hours_total - pens) / before.hours_total
+    table.add(
+        f"{label}: hand work over that of single switches",
+        after.hours_total / before.hours_total,
+        "ratio",
+        before.hours_total,
+        "h, single switches",
+        f"<= {HOURS_SHARE:.3f}" if main else None,
+        f"{after.hours_total:.2f} h, {after.castings} castings; {rest:.2f} without the "
+        f"{pens:.2f} h of painting receptor ends",
+    )
 
 
 def fit(table: Table, sensor: Sensor, strips: StripSet) -> None:

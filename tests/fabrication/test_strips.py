@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_design.design.design_file import design_hash
+from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.fabrication.documents.bill_of_materials import switch_parts
 from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps
 from phytac_design.fabrication.documents.strip_drawing import strips_svg, wrapped_webs
@@ -36,6 +36,7 @@ from phytac_design.fabrication.switch_strips import (
 )
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.soft_cup import SoftCup
+from phytac_design.rules.check import check_design
 from phytac_design.solids.solid_mesh import box, to_manifold, united
 from phytac_design.stages.mold_stage import MOLD
 from tests.fabrication.bench_cases import context_of, put
@@ -388,3 +389,14 @@ def test_documents_say_how_strips_are_made() -> None:
     web = wrapped_webs(sensor, strips)
     away = np.hypot(*web.vertices_mm[:, :2].T)
     assert 30.0 - 1e-6 < away.min() < away.max() < 30.45
+
+
+def test_the_example_takes_a_third_of_the_hours_and_a_tenth_of_the_parts() -> None:
+    before = effort_of(Sensor(load_design("cylinder60")))
+    after = effort_of(check_design(load_design("examples/uses/cylinder60_strips.toml")))
+    assert not after.left_out
+    assert after.parts["hardware"] == before.parts["hardware"]
+    assert after.on_strips == after.switches == before.switches
+    assert after.parts_handled <= 60
+    assert after.parts_handled < before.parts_handled / 10.0
+    assert after.hours_total < before.hours_total / 3.0

@@ -205,6 +205,7 @@ def violation(rule: str, fix: str, measured: float) -> dict[str, Any]:
 
 def test_what_to_change_is_gathered(tmp_path: Path) -> None:
     context = context_of(tmp_path, {})
+    context = replace(context, accuracy=replace(context.accuracy, step=True))
     broken = [violation("wall", f"{k} mm² are thin; make the wall thicker", 0.3) for k in range(3)]
     facts: dict[str, dict[str, Any]] = {
         "underload": {"first_force_N": None},
@@ -218,6 +219,9 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
         write_facts(tmp_path / name, values)
     assert verdict.changes_of(context, [], {"share": None}) == []
     assert verdict.changes_of(context, [], {"share": 0.5}) == []
+    draft = replace(context, accuracy=PRESETS["draft"])
+    (left_out,) = verdict.changes_of(draft, [], {"share": 0.5})
+    assert "without STEP files" in left_out
     load = {"first_force_N": None, "force_N": 8.0, "greatest_shift_px": 0.293}
     write_facts(tmp_path / "underload", load)
     (stiff,) = verdict.changes_of(context, [], {"share": 0.15})
