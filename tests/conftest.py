@@ -9,12 +9,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("PHYTAC_THREADS", "1")
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.stages.build import BuildResult, build
 from tests.coarse_switches import coarse_bowls
@@ -38,11 +36,10 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None) -> BuildResult:
-    """The small design, built whole at draft accuracy, with STEP and switches of coarse meshes."""
+    """The small design, built whole at draft accuracy, with switches of the coarse mesh."""
     out = tmp_path_factory.mktemp("exports") / "small"
     with coarse_bowls():
-        accuracy = replace(PRESETS["draft"], step=True)
-        return build(small(), out, accuracy=accuracy, progress=lambda _: None)
+        return build(small(), out, accuracy="draft", progress=lambda _: None)
 
 
 @pytest.fixture

@@ -106,9 +106,10 @@ def manifest_of(out: Path) -> dict:
 
 def test_folder_is_the_contract(built: BuildResult) -> None:
     files = {p.relative_to(built.out).as_posix() for p in built.out.rglob("*") if p.is_file()}
-    assert files == CONTRACT | {"manifest.json"}
+    draft = {name for name in CONTRACT if not name.endswith(".step")}
+    assert files == draft | {"manifest.json"}
     entries = {item["path"]: item for item in manifest_of(built.out)["files"]}
-    assert set(entries) == CONTRACT
+    assert set(entries) == draft
     for path, item in entries.items():
         assert item["sha256"] == cache.file_hash(built.out / path)
         assert item["bytes"] == (built.out / path).stat().st_size
@@ -127,7 +128,7 @@ def test_report_holds_the_figures(built: BuildResult) -> None:
     assert report["shell"]["watertight"] is True
     assert report["shell"]["bodies"] == 1
     assert report["shell"]["genus"] == 113
-    assert abs(report["shell"]["volume_difference"]) < 1e-3
+    assert "volume_difference" not in report["shell"]  # of a STEP file, which a draft has not
     for table in ("decoder", "decoder_frames"):
         for name in ESTIMATORS:
             row = report[table][name]

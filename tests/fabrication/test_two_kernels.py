@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import pytest
 
+from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
@@ -37,8 +38,10 @@ def test_coarse_facets_are_no_other_shell(
     monkeypatch.setattr(shell_stage, "shell_cad", lambda *_: None)
     monkeypatch.setattr(shell_stage, "cad_facts", lambda _: facts)
     monkeypatch.setattr(shell_stage, "write_step", lambda _, path, **__: path.write_text("STEP"))
+    monkeypatch.setattr(shell_stage, "write_solid", lambda _, path: path.write_text("solid"))
     context: Any = SimpleNamespace(
         design=DESIGN,
+        accuracy=PRESETS["standard"],
         sensor=Sensor.of(DESIGN, SURFACE, MARKERS),
         facts=lambda _: {"volume_mm3": printed},
         progress=lambda _: None,

@@ -129,7 +129,7 @@ def test_controls_move_the_views(seen: Seen) -> None:
 
 def test_a_broken_rule_stands_beside_its_control(seen: Seen) -> None:
     page = seen.page
-    columns = page.get_by_label("columns", exact=True)
+    columns = page.locator("#table-layout").get_by_label("columns", exact=True)
     columns.fill("60")
     error = page.locator("[data-path='layout.columns'] .err")
     error.filter(has_text="layout.columns").wait_for()
@@ -224,7 +224,7 @@ def test_markers_are_chosen_in_all_views(seen: Seen) -> None:
 
 def test_saving_asks_before_it_writes_over(seen: Seen, folder: Path) -> None:
     page = seen.page
-    page.get_by_label("rows", exact=True).fill("7")
+    page.locator("#table-layout").get_by_label("rows", exact=True).fill("7")
     page.get_by_label("name", exact=True).fill("mine")
     page.get_by_label("name", exact=True).press("Tab")
     page.keyboard.press("Control+s")

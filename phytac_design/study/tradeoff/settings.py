@@ -57,7 +57,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("place_orders", (1, 2, 3, 4, 5), "force", "linear theory, a series, or solved"),
     Setting("truth_refine", (5, 7, 9, 13), "score", "mesh of the simulated sensor"),
     Setting("sample_share", (0.1, 0.3, 1.0), "score", "simulated training and test samples"),
-    Setting("frames", (2, 20, 50, 100), "score", "rendered frames that are decoded"),
+    Setting("frames", (5, 20, 50, 100), "score", "rendered frames that are decoded"),
     Setting("press_places", (8, 20, 40, 120), "visibility", "places pressed under the camera"),
     Setting("press_tolerance", (1.0, 0.1, 0.05, 0.02), "visibility", "linear or large there"),
     Setting(
