@@ -222,6 +222,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "molds": partial(fabrication_parts.mold_rows, quick=quick),
         "strips": partial(fabrication_strips.add_rows, quick=quick),
         "strip-coupling": partial(fabrication_strips.coupling_rows, quick=quick),
+        "strip files": partial(fabrication_strips.file_rows, quick=quick),
         "hardware": partial(fabrication_parts.hardware_rows, quick=quick),
         "inserts": partial(fabrication_inserts.add_rows, quick=quick),
         "insert trials": partial(fabrication_inserts.add_trials, quick=quick),

@@ -5,10 +5,13 @@ Hours before and after are those of the same time model, `[effort]`. Bowls are n
 """
 
 import shutil
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
+from benchmarks.fabrication_parts import ran, repair_row, slice_row
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.design.spec import Design
@@ -19,6 +22,7 @@ from phytac_design.fabrication.switch_strips import StripSet, web_gap_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.hyperelastic import Material
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
+from phytac_design.stages.mold_stage import MOLD
 from verification.strip_coupling import BowlPair, PairForces, Web, pair_forces
 
 MAIN = "cylinder60"
@@ -143,6 +147,21 @@ def molds(table: Table, design: Design) -> None:
     table.add(row, worst, "%", 0, source, "<= 0.5", f"{len(fits)} different strips")
     pieces = sum(one.bodies != 1 for one in fits)
     table.goal(f"{label}: strips that come out in pieces", pieces, "", "== 0")
+
+
+def file_rows(table: Table, *, quick: bool) -> None:
+    """Mold files of strips: faults by admesh, and slicing on a bed of 300 × 200 mm."""
+    for name in ["hemisphere"] if quick else ["hemisphere", EASY]:
+        design = load_design(name)
+        if name != EASY:
+            design = in_strips(design)
+        with tempfile.TemporaryDirectory() as folder:
+            _, files, _ = ran(MOLD, design, "draft" if quick else "standard", Path(folder))
+            label = f"{design.name}, strips: "
+            repair_row(table, label, files)
+            words = ("--layer-height", "0.3", "--fill-density", "5%")
+            plates = [path for path in files if "plate" in path.name or "tray" in path.name]
+            slice_row(table, label, plates, *words, "--bed-shape", "0x0,300x0,300x200,0x200")
 
 
 def coupling_rows(table: Table, *, quick: bool) -> None:
