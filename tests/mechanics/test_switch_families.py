@@ -45,6 +45,15 @@ PLUNGER = SoftCup(
     roof_mm=0.8,
     hub_diameter_mm=2.0,
 )
+MEMBRANE = SoftCup(
+    family="membrane",
+    diameter_mm=6.0,
+    height_mm=2.0,
+    side_mm=0.8,
+    roof_mm=0.3,
+    hub_diameter_mm=2.0,
+    boss_mm=0.5,
+)
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +97,9 @@ def test_small_press_of_a_thin_roof_is_that_of_a_plate() -> None:
 
 
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not on PATH")
-def test_plunger_in_calculix(tmp_path: Path) -> None:
-    curve = press_cup(PLUNGER, rubber("dragon-skin-20").material, travel_mm=TRAVEL_mm)
+@pytest.mark.parametrize("cup", [PLUNGER, MEMBRANE], ids=lambda cup: cup.family)
+def test_cups_in_calculix(cup: SoftCup, tmp_path: Path) -> None:
+    curve = press_cup(cup, rubber("dragon-skin-20").material, travel_mm=TRAVEL_mm)
     end = curve.at("pad_mm", TRAVEL_mm)
     _, force = ccx_curve(tmp_path, curve.body, stroke_mm=end, steps=6)
     assert curve.force_at(TRAVEL_mm) == pytest.approx(force[-1], rel=0.01)
