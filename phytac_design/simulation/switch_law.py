@@ -46,6 +46,8 @@ class SwitchLaw:
     spread : (n,) float
         Standard deviation of the logarithm of thresholds from switch to switch; NaN where bowls
         are not compared with other families.
+    refused : str
+        Why the chosen switches cannot be made, so that bowls are assumed; "" where they can.
     """
 
     on_N: FloatArray
@@ -54,6 +56,7 @@ class SwitchLaw:
     travel_mm: tuple[FloatArray, ...]
     stroke_mm: float
     spread: FloatArray
+    refused: str = ""
 
     @property
     def threshold_sd(self) -> FloatArray | None:
@@ -95,7 +98,8 @@ class SwitchLaw:
 def switch_law(design: Design, markers: Markers, progress: Progress = lambda _: None) -> SwitchLaw:
     """Activation law of a design's switches.
 
-    Where the chosen switches cannot be made, those that a build with ``--force`` assumes: bowls.
+    Where the chosen switches cannot be made, it is that of bowls, which a build with ``--force``
+    assumes, and says why (``refused``).
 
     Parameters
     ----------
@@ -108,7 +112,10 @@ def switch_law(design: Design, markers: Markers, progress: Progress = lambda _: 
     forces: list[FloatArray] = []
     travels: list[FloatArray] = []
     compared = switch.family != "bowl" and design.has_switches
-    for made in _solved(design, progress)["switches"] if compared else ():
+    found: dict[str, Any] = {"refused": "", "switches": []}
+    if compared:
+        found = _solved(design, progress)
+    for made in found["switches"]:
         own = np.flatnonzero(threshold == made["threshold_N"])
         band = made["spread"]
         spread[own] = np.log(band["high_N"] / band["low_N"]) / (2.0 * 1.96)
@@ -124,6 +131,7 @@ def switch_law(design: Design, markers: Markers, progress: Progress = lambda _: 
         travel_mm=tuple(travels),
         stroke_mm=switch.stroke_mm if forces else np.nan,
         spread=spread,
+        refused=found["refused"],
     )
 
 

@@ -47,6 +47,7 @@ from phytac_design.simulation.imaging.imaging_model import ImagingModel, RestObs
 from phytac_design.simulation.imaging.nominal_view import expected_views
 from phytac_design.simulation.run.job import Job, data_set_info, gather_samples
 from phytac_design.simulation.solver import Solver
+from phytac_design.simulation.switch_law import switch_law
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import untrained_model
 from phytac_shapes.arrays import FloatArray, ImageArray
@@ -106,6 +107,9 @@ class ImagingReference:
 
 def observe_rest(job: Job, progress: Callable[[str], None]) -> ImagingReference:
     """Observe the sensor at rest."""
+    law = switch_law(job.design, job.markers, progress)
+    if law.refused:
+        progress(f"warning: tips are simulated as those of bowls that snap: {law.refused}")
     progress("simulate: the sensor at rest")
     views = expected_views(Sensor.of(job.design, job.surface, job.markers))
     imaging = imaging_model(job, views=views)

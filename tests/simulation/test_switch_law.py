@@ -14,7 +14,11 @@ from phytac_design.mechanics.switch.cup_press import press_cup
 from phytac_design.mechanics.switch.rubbers import rubber
 from phytac_design.mechanics.switch.soft_cup import SoftCup
 from phytac_design.simulation import switch_law as law_module
+from phytac_design.simulation.run.job import Job
+from phytac_design.simulation.scenario.scenario_file import parse_scenario
 from phytac_design.simulation.switch_law import SwitchLaw, chosen_switches, switch_law
+from phytac_design.workflows import simulate as simulate_module
+from phytac_design.workflows.simulate import observe_rest
 from tests.designs import small
 from tests.refusals import refused
 
@@ -97,7 +101,19 @@ def test_what_cannot_be_made_is_refused_and_assumed_to_snap(
     with refused("switch-infeasible") as error:
         chosen_switches(hard)
     error.match("0.5 N, membrane of tpu-8400n")
-    assert (of(hard).on_N == 0.5).all()
+    assumed = of(hard)
+    assert (assumed.on_N == 0.5).all()
+    assert "membrane of tpu-8400n" in assumed.refused
+    said: list[str] = []
+    monkeypatch.setattr(simulate_module, "expected_views", _stop)
+    scenario = parse_scenario({"name": "t"}, "t")
+    with pytest.raises(StopIteration):
+        observe_rest(Job(design=hard, scenario=scenario, seed=0, accuracy="draft"), said.append)
+    assert any("tips are simulated as those of bowls that snap" in line for line in said)
+
+
+def _stop(*_: object) -> None:
+    raise StopIteration
 
 
 def test_only_other_families_depend_on_the_view(plunger: Design) -> None:

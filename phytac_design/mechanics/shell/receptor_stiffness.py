@@ -245,13 +245,12 @@ def mean_factors(design: Design, markers: Markers, area_mm2: float) -> tuple[flo
     """
     if unknown_receptors(design):
         return 1.0, 1.0
-    thickness, receptor = design.wall.thickness_mm, design.receptor
+    thickness = design.wall.thickness_mm
+    diameter, height = (float(each.mean()) for each in tube_sizes_mm(design, markers))
     membrane, bending = receptor_effect(
-        receptor.diameter_outer_mm / thickness,
-        receptor.diameter_hole_mm / receptor.diameter_outer_mm,
-        float(markers.height_mm.mean()) / thickness,
+        diameter / thickness, design.receptor.diameter_hole_mm / diameter, height / thickness
     )
-    share = np.array(markers.count * np.pi / 4.0 * receptor.diameter_outer_mm**2 / area_mm2)
+    share = np.array(markers.count * np.pi / 4.0 * diameter**2 / area_mm2)
     return (
         float(mixture(share, membrane, MIXING_MEMBRANE)),
         float(mixture(share, bending, MIXING_BENDING)),

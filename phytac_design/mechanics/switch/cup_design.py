@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -281,12 +282,17 @@ def cup_spread(
     return spread_of(factor, tolerance, threshold_N=threshold_N)
 
 
+def _cup_of(name: str, fixed: dict[str, Any], wall_mm: float) -> SoftCup:
+    """Cup of fixed sizes, and of a wall by its name."""
+    return SoftCup(**fixed | {name: wall_mm})
+
+
 def _sections(
     family: CupFamily, space: SwitchSpace
 ) -> Iterator[tuple[float, Callable[[float], SoftCup], float]]:
     """Width of the stop's ring, cups by the wall that sets their threshold, its largest value."""
     plunger = family == "plunger"
-    sizes = {
+    sizes: dict[str, Any] = {
         "family": family,
         "diameter_mm": space.diameter_mm,
         "fillet_mm": RULES.plunger_fillet if plunger else RULES.membrane_fillet,
@@ -299,7 +305,7 @@ def _sections(
             fixed = sizes | {"height_mm": high, "roof_mm": RULES.plunger_roof}
             fixed["hub_diameter_mm"] = hub
             most = 0.5 * (space.diameter_mm - hub) - space.core_min_mm - high * slope
-            yield land, (lambda wall, fixed=fixed: SoftCup(side_mm=wall, **fixed)), most  # type: ignore[misc]
+            yield land, partial(_cup_of, "side_mm", fixed), most
     else:
         land = RULES.hub_land
         sizes["hub_diameter_mm"] = space.hole_diameter_mm + 2.0 * land
@@ -309,8 +315,7 @@ def _sections(
                 "side_mm": side,
                 "boss_mm": RULES.membrane_boss * stop,
             }
-            roof_max = RULES.roof_max
-            yield land, (lambda wall, fixed=fixed: SoftCup(roof_mm=wall, **fixed)), roof_max  # type: ignore[misc]
+            yield land, partial(_cup_of, "roof_mm", fixed), RULES.roof_max
 
 
 def _solved(

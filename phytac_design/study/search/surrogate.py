@@ -13,9 +13,9 @@ equations; A. W. Leissa, Vibration of plates, NASA SP-160, 1969, §1)::
     r_mn = ∫φ_m''² + 2 a_m² b_n² + ∫ψ_n''²    a_m² = ∫φ_m'²    b_n² = ∫ψ_n'²    (means of the face)
 
 The load is a disc of uniform pressure. On a sphere without edges this is Reissner's solution, at
-its centre w = √12(1 - ν²) P R / 8 E t². A pole is no edge: the face goes on beyond it. Curvatures
-are those at the load. Receptors and holes change both stiffnesses by the mean of their factors
-(:mod:`phytac_design.mechanics.shell.receptor_stiffness`).
+its centre w = √12(1 - ν²) P R / 8 E t². A pole is no edge: the face continues beyond it. Curvatures
+are the means of a quarter of the girth around the load. Receptors and holes change both stiffnesses
+by the mean of their factors (:mod:`phytac_design.mechanics.shell.receptor_stiffness`).
 """
 
 from dataclasses import dataclass
@@ -40,9 +40,9 @@ FORCE_N = 10.0
 class Flat:
     """The outer face unrolled around a load.
 
-    ``length`` and ``girth`` mm along and around, whether it closes around, and the curvatures along
-    and around at the load, 1/mm, positive where the face is convex. Ends that do not close are
-    clamped.
+    ``length`` and ``girth`` mm along and around, whether it closes around, and the mean curvatures
+    along and around near the load, 1/mm, positive where the face is convex. Ends that do not close
+    are clamped.
     """
 
     length: float
@@ -65,7 +65,7 @@ class MetricLengths:
         self.along = np.concatenate([[0.0], np.cumsum(steps)])
         self.width = (v1 - v0) * np.sqrt(metric[:, 1, 1])
         self.middle = middle
-        # Beyond a pole the face goes on, as long as before it.
+        # Beyond a pole the face continues by its own length.
         near, far = surface.poles
         self.before = float(self.along[-1]) * near
         self.length = float(self.along[-1]) * (1.0 + near + far)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
@@ -178,6 +179,16 @@ def test_receptors_change_the_wall() -> None:
     thick = changed("plane", wall={"thickness_mm": 3.0})
     bare = wall_of(thick, sensor.markers, sensor.surface.area_mm2())
     assert bare.stretching == pytest.approx(MODULUS * 3.0)
+
+
+def test_glued_inserts_stiffen_the_wall() -> None:
+    """Their tubes are wider than painted ones."""
+    bending = []
+    for colouring in ("paint", "insert"):
+        sensor = Sensor(changed("cylinder60", receptor={"colouring": colouring}))
+        wall = wall_of(sensor.design, sensor.markers, sensor.surface.area_mm2())
+        bending.append(wall.bending)
+    assert bending[1] > 1.05 * bending[0]
 
 
 def test_places_of_the_bound_are_even_along_and_vary_across() -> None:
