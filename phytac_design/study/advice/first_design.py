@@ -4,7 +4,7 @@ The layout is that of a shipped design of the family, stretched to the size, and
 every rule is kept and the camera sees every marker.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
@@ -21,6 +21,7 @@ from phytac_design.study.advice.design_variables import with_fields
 from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_design.study.advice.quick_repair import seen_at_rest
 from phytac_design.study.search.surrogate import predict
+from phytac_shapes.arrays import BoolArray
 from phytac_shapes.errors import DesignError, NumericalError, PhytacError
 
 
@@ -47,6 +48,8 @@ HEIGHTS = (1.0, 0.7, 0.45)
 """Heights of the far receptors, as shares of the template's in proportion."""
 MARKERS_MIN = 8
 """Fewer determine no contact's force, place and size."""
+HIDDEN_MAX = 0.5
+"""Share of hidden markers above which a layout is left out before a shell is sought for it."""
 WALLS_mm = (0.8, 1.0, 1.2, 1.6, 2.0, 2.5, 3.0)
 ERROR_MAX = 0.02
 """Predicted standard deviation of a force, over the largest one, that the shell must allow."""
@@ -87,30 +90,49 @@ def first_design(
         If a value is not acceptable, or no layout that is tried passes.
     """
     least = "no layout was tried"
-    layouts = list(_candidates(name, kind, sizes_mm, camera, (force_min_N, force_max_N)))
+    materials = (material,) if material else SHELL_MATERIALS
+    layouts = _candidates(name, kind, sizes_mm, camera, (force_min_N, force_max_N))
+    tried: Iterable[Design] = (parse_design(data, f"new design {name!r}") for data in layouts)
     # Layouts that leave no room for a good shell come last.
-    for any_shell, data in product((False, True), layouts):
-        design = parse_design(data, f"new design {name!r}")
-        if design.layout.wanted < MARKERS_MIN:
-            least = f"{design.layout.wanted} markers, fewer than {MARKERS_MIN}"
-            continue
-        progress(f"trying {design.layout.wanted} markers")
-        try:
-            materials = (material,) if material else SHELL_MATERIALS
-            design = _with_shell(design, materials, any_shell=any_shell)
-            seen = seen_at_rest(check_design(design))
-        except PhytacError as error:
-            least = str(error)
-            continue
-        if bool(seen.clear.all()):
-            return design
-        least = f"{int((~seen.clear).sum())} of {len(seen.clear)} markers are hidden or fused"
+    for any_shell in (False, True):
+        without_shell = []
+        for design in tried:
+            if design.layout.wanted < MARKERS_MIN:
+                least = f"{design.layout.wanted} markers, fewer than {MARKERS_MIN}"
+                continue
+            progress(f"trying {design.layout.wanted} markers")
+            try:
+                own = design
+                if any_shell or not _mostly_hidden(design):
+                    own = _with_shell(design, materials, any_shell=any_shell)
+                hidden = _hidden(own)
+            except PhytacError as error:
+                least = str(error)
+                without_shell.append(design)
+                continue
+            if not hidden.any():
+                return own
+            least = f"{int(hidden.sum())} of {len(hidden)} markers are hidden or fused"
+        tried = without_shell
     raise DesignError(
         "first-design-not-found",
         f"no layout that was tried shows every marker of this {kind} to this camera (the last one: "
         f"{least}); choose a wider or finer camera, or a larger or shorter body, or start from a "
         f"shipped design: phytac new {name} --from {FAMILIES[kind].template}",
     )
+
+
+def _hidden(design: Design) -> BoolArray:
+    """Markers (n,) that the camera does not see apart from others."""
+    return ~seen_at_rest(check_design(design)).clear
+
+
+def _mostly_hidden(design: Design) -> bool:
+    """Whether so many markers are hidden that no other wall is worth the seconds of its search."""
+    try:
+        return bool(_hidden(design).mean() > HIDDEN_MAX)
+    except PhytacError:  # a rule that another wall may keep
+        return False
 
 
 def trip_force_N(design: Design) -> float:
