@@ -128,6 +128,7 @@ def test_all_files_speak_of_the_same_markers(two: list[tuple[Design, Path]]) -> 
         assert kinds == {label: counts.count(label) for label in labels}
         page = files["bench/assembly.html"].read_text()
         assert all(f">{label}<" in page for label in labels)
+        assert "`" not in page  # commands are code
 
 
 def test_the_bill_is_the_files(two: list[tuple[Design, Path]]) -> None:

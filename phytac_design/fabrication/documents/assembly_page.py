@@ -1,5 +1,6 @@
 """The assembly sheet: one page that opens from disk, steps in order, with counts and pictures."""
 
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
@@ -110,7 +111,9 @@ def colouring_steps(design: Design, count: int) -> list[str]:
 
 
 def _listed(items: Sequence[str]) -> str:
-    return "<ol>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ol>"
+    # Steps quote commands as messages do, between backticks.
+    texts = [re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(item)) for item in items]
+    return "<ol>" + "".join(f"<li>{text}</li>" for text in texts) + "</ol>"
 
 
 def assembly_html(
