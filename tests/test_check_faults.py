@@ -322,7 +322,7 @@ def test_a_rule_that_advice_satisfies(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_a_shell_that_snaps_under_its_largest_force_is_named() -> None:
     assert snapping_words(changed("hemisphere")) == []
-    soft = changed("hemisphere", material={"modulus_MPa": 9.4, "poisson": 0.48})
+    soft = changed("hemisphere", material={"modulus_MPa": 5.0, "poisson": 0.48})
     (words,) = snapping_words(soft)
     assert words.startswith("the shell does not bear its largest force of 25 N in the middle: ")
     assert "wall.thickness_mm" in words
