@@ -414,7 +414,7 @@ def test_tips_that_show_at_rest_show_the_light_on_red() -> None:
     assert follower.follow(one).koi.tolist() == [60]
 
 
-def test_tips_that_are_off_and_show_more_red_than_at_rest_are_named() -> None:
+def test_tips_that_show_more_red_than_at_rest_and_less_than_out_are_named() -> None:
     plain, every = make_bundle(), np.ones(COUNT, dtype=np.bool_)
     areas = {"red_rest_px": np.full(COUNT, 30.0), "red_on_px": np.full(COUNT, 90.0)}
     bundle = replace(plain, tips=replace(plain.tips, **areas))
@@ -428,6 +428,13 @@ def test_tips_that_are_off_and_show_more_red_than_at_rest_are_named() -> None:
         for seen in (follower.follow(image), measure_frame(bundle, image)):
             assert seen.koi.tolist() == []
             assert seen.half_out.tolist() == named
+    # More of it turns a switch on: its tip shows less than one that is out.
+    x, y = (REST[60] + TIP_OFF).astype(int)
+    more = draw(REST, every, tip_radius=np.sqrt(68.0 / np.pi))
+    lit[y - 7 : y + 8, x - 7 : x + 8] = more[y - 7 : y + 8, x - 7 : x + 8]
+    for seen in (follower.follow(lit), measure_frame(bundle, lit)):
+        assert seen.koi.tolist() == [60]
+        assert seen.half_out.tolist() == [40, 60, 61]
 
 
 def test_every_other_pixel_is_nearly_as_good() -> None:

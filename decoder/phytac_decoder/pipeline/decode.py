@@ -51,7 +51,7 @@ class FrameMeasurement:
     marked : MarkedMotion, optional
         Motion of the cameras by reference marks, which is taken off the shifts.
     half_out : (h,) int
-        Markers whose switch is off, and whose tip yet shows more red than at rest.
+        Markers whose tip shows more red than at rest, and less than when its switch is on.
     """
 
     koi: IntArray
@@ -132,9 +132,9 @@ class FrameMeasurement:
         out += _rim_warnings(bundle, found)
         if len(self.half_out) >= HALF_OUT_REPORTED:
             out.append(
-                f"{len(self.half_out)} tips whose switches are off ({id_list(self.half_out)}) show "
-                "more red than at rest: other switches may be read wrongly; check for red light, "
-                "or take a new rest frame if the light has changed"
+                f"{len(self.half_out)} tips ({id_list(self.half_out)}) show more red than at rest "
+                "and less than when their switches are on: switches may be read wrongly; check for "
+                "red light, or take a new rest frame if the light has changed"
             )
         if not moved:
             out += self._too_many_switches(bundle, found)

@@ -22,6 +22,10 @@ HALF_OUT_MIN_px, HALF_OUT_SHARE = 10.0, 0.15
 rest, and its red has grown by this share of what a switch adds (measured: none in 20 pressed frames
 of 216 tips with noise of 8 grey levels, 4 px of defocus or JPEG 60; 3 to 6 with red light through
 the wall)."""
+HALF_OUT_ON_SHARE = 0.8
+"""A switch that reads as on shows less than this share of its red when out if its tip is half out,
+and that red is enough to be measured. Sound tips of ``cylinder60`` show 0.85 or more in the shade
+of a finger and 0.9 at JPEG 60; tips at rest that red light turns on, 0.63 to 0.82."""
 HALF_OUT_REPORTED = 2
 """So many tips that are half out are reported: none in 30 pressed frames of ``handle`` under each
 of 14 mild disturbances, 2 to 5 in all of them with red light through the wall."""
@@ -81,17 +85,18 @@ class TipModel:
         return float(np.clip(change, *RED_SEEN_RANGE))
 
     def half_out(self, red_px: FloatArray, switch_on: BoolArray) -> BoolArray:
-        """Tips (n,) that are off, and show more red (n,) than at rest; red of a followed light.
+        """Tips (n,) of those that snap that show neither their red (n,) at rest nor that when out.
 
-        Of those that snap.
+        Red is that of a followed light. Red light turns tips at rest on, or nearly so.
         """
-        rest_px, seen = self.red_rest_px, self.red_rest_px >= HALF_OUT_MIN_px
+        rest_px, on_px = self.red_rest_px, self.red_on_px
         least_px = np.maximum(
-            rest_px + HALF_OUT_SHARE * (self.red_on_px - rest_px), RED_SEEN_RANGE[1] * rest_px
+            rest_px + HALF_OUT_SHARE * (on_px - rest_px), RED_SEEN_RANGE[1] * rest_px
         )
-        if self.gradual is not None:
-            seen = seen & ~self.gradual
-        return np.asarray(~switch_on & self.readable & seen & (red_px > least_px))
+        off = ~switch_on & (rest_px >= HALF_OUT_MIN_px) & (red_px > least_px)
+        on = switch_on & (on_px >= RED_SEEN_px) & (red_px < HALF_OUT_ON_SHARE * on_px)
+        snap = self.readable if self.gradual is None else self.readable & ~self.gradual
+        return np.asarray(snap & (off | on))
 
     @property
     def threshold_px(self) -> FloatArray:
