@@ -5,6 +5,7 @@ import json
 import os
 import re
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -214,6 +215,30 @@ def test_files_are_written_and_agree(toy: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "alone.parquet", "out.csv", "out.parquet", "regions.toml", "sums.csv"
     ]  # fmt: skip
+
+
+def test_tables_say_why_a_frame_is_doubtful(toy: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    frames = shutil.copytree(toy / "frames", tmp_path / "frames")
+    lost = cv2.imread(str(frames / "frame_1.png"))
+    lost[:, : lost.shape[1] // 3] = 0
+    cv2.imwrite(str(frames / "frame_4.png"), lost)
+    cv2.imwrite(str(frames / "frame_5.png"), np.zeros_like(lost))
+    (tmp_path / "regions.toml").write_text('[[regions]]\nname = "thumb"\nmarkers = [14, 15]\n')
+    out, table, sums = (tmp_path / name for name in ("out.csv", "out.parquet", "sums.csv"))
+    words = (toy / "decoder", frames, "--fps", "10")
+    run(
+        *words, "--csv", out, "--parquet", table,
+        "--regions", tmp_path / "regions.toml", "--record-regions", sums,
+    )  # fmt: skip
+    messages = [json.loads(line) for line in run(*words, "--json")[0].splitlines()]
+    texts = ["; ".join(message["warnings"]) for message in messages]
+    assert [bool(text) for text in texts] == [False] * 4 + [True, True]
+    assert not messages[5]["valid"]
+    for row in rows_of(out):
+        assert row["warnings"] == texts[int(row["sequence"])]
+    assert [row["warnings"] for row in rows_of(sums)] == texts
+    assert parquet.read_table(table)["warnings"].to_pylist()[-2:] == texts[-2:]
 
 
 def test_one_image_can_be_a_recording_as_well(toy: Path, tmp_path: Path) -> None:

@@ -73,6 +73,7 @@ def a_report(**changes: Any) -> dict[str, Any]:
         },
         "fabrication": {
             "print_violations": 0,
+            "print_unchecked": [],
             "print_process": "sla",
             "interference_mm3": 0.0,
             "mold": {"cavities": 40, "undercut_mm2": 0},
@@ -251,6 +252,11 @@ def test_each_answer_is_to_its_own_question() -> None:
             {"fabrication": a_report()["fabrication"] | {"print_violations": 3}},
             "odd",
             "3 places break the rules of the printer (sla)",
+        ),
+        (
+            {"fabrication": a_report()["fabrication"] | {"print_unchecked": ["mount.stl"]}},
+            "odd",
+            "a draft checks the shell alone against the printer: 1 other parts are not",
         ),
         (
             {"fabrication": a_report()["fabrication"] | {"interference_mm3": 2.0}},

@@ -99,7 +99,7 @@ def _read(arrow: Any, recording: Path, report: Callable[[str], None]) -> Any:
     types = dict.fromkeys(numbers, arrow.float64()) | {"valid": arrow.bool_()}
     # Empty where a frame has no contact.
     types |= dict.fromkeys(("sequence", "contacts", "contact", "id"), arrow.int64())
-    types |= dict.fromkeys(("markers", "region"), arrow.string())
+    types |= dict.fromkeys(("markers", "region", "warnings"), arrow.string())
     try:
         data = recording.read_bytes()
         rows = data[: data.rfind(b"\n") + 1]

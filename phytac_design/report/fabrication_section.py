@@ -149,10 +149,8 @@ def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
         if facts[key]:
             out += f'<p class="foot">{escape(sentence("left out: " + facts[key]))}</p>'
     if facts["print_unchecked"]:
-        out += (
-            f'<p class="foot">{len(facts["print_unchecked"])} printed parts beside the shell were '
-            "not held against the print rules in this draft.</p>"
-        )
+        names = ", ".join(facts["print_unchecked"])
+        out += f'<p class="foot">{escape("Not held against the print rules: " + names)}.</p>'
     if joints:
         out += page.table(("joint", "screw", "count", "head in", "thread in"), joints)
     plain = {

@@ -220,8 +220,10 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
     words = flat_map.direction_names(context.surface)
     keys = [key for key in names if all(key in row for row in found["bound"].values())]
     head = [names[key].format(along=words.along_short, around=words.around_short) for key in keys]
-    order = sorted(found["bound"], key=lambda text: float(text.split()[0]))
-    largest = f"{context.design.training.force_max_N:g}"
+    most_N = context.design.training.force_max_N
+    usual = {float(text.split()[0]): text for text in found["bound"]}
+    order = [usual[force_N] for force_N in sorted(usual) if force_N <= most_N]
+    largest = f"{most_N:g}"
     rows = [(force, *(found["bound"][force][key] for key in keys)) for force in order]
     return (
         "<p>Cramér-Rao bound of a single contact, its position and size unknown but for the "

@@ -104,6 +104,10 @@ def _printed(shell: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding
         if broken
         else Finding("printed", "good", f"no rule of the printer ({printer}) is broken"),
     ]
+    if facts["print_unchecked"]:
+        count = len(facts["print_unchecked"])
+        text = f"a draft checks the shell alone against the printer: {count} other parts are not"
+        out.append(Finding("printed", "odd", text))
     if facts["interference_mm3"]:
         text = f"parts of the assembly overlap by {facts['interference_mm3']:.3g} mm³"
         out.append(Finding("printed", "bad", text))

@@ -18,12 +18,12 @@ COLUMNS = (
     "net_force_sd_x_N", "net_force_sd_y_N", "net_force_sd_z_N",
     "net_moment_x_Nmm", "net_moment_y_Nmm", "net_moment_z_Nmm",
     "net_moment_sd_x_Nmm", "net_moment_sd_y_Nmm", "net_moment_sd_z_Nmm",
-    "moment_about_x_mm", "moment_about_y_mm", "moment_about_z_mm",
+    "moment_about_x_mm", "moment_about_y_mm", "moment_about_z_mm", "warnings",
 )  # fmt: skip
 FRAME_FIELDS = (
     "net_force_N", "net_force_sd_N", "net_moment_Nmm", "net_moment_sd_Nmm", "moment_about_mm"
 )  # fmt: skip
-"""Vectors of a frame, which end each of its rows."""
+"""Vectors of a frame, which end each of its rows but for the warnings."""
 
 
 class _CsvWriter:
@@ -89,6 +89,11 @@ class _CsvWriter:
         self._whole_bytes += len(data)
 
 
+def _one_line(message: Message) -> str:
+    """Warnings of a frame, or why it is not valid."""
+    return " ".join("; ".join(message["warnings"]).split())
+
+
 class Recorder(_CsvWriter):
     """One row for each contact of each frame; a frame without any has one, with ``contacts`` 0."""
 
@@ -100,6 +105,7 @@ class Recorder(_CsvWriter):
         contacts = message["contacts"]
         head = (message["sequence"], message["timestamp_s"], int(message["valid"]), len(contacts))
         net = [part for name in FRAME_FIELDS for part in message.get(name, [""] * 3)]
+        net.append(_one_line(message))
         rows = [
             (
                 *head,
@@ -127,12 +133,12 @@ class RegionRecorder(_CsvWriter):
     """One row for each frame: the force of every region, by the regions' names."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        columns = [*COLUMNS[:3], "total_N", *(f"region_{name}_N" for name in names)]
+        columns = [*COLUMNS[:3], "total_N", *(f"region_{name}_N" for name in names), "warnings"]
         super().__init__(path, columns, "--record-regions")
 
     def add(self, message: Message) -> None:
         """Write a frame's row; raises OutputError if the disk is full."""
         forces = [region["force_N"] for region in message["regions"]]
         head = (message["sequence"], message["timestamp_s"], int(message["valid"]))
-        self._put([(*head, message["total_N"], *forces)])
+        self._put([(*head, message["total_N"], *forces, _one_line(message))])
         self.rows += 1
