@@ -334,11 +334,11 @@ def test_a_recording_has_a_row_for_each_contact_and_loses_none(tmp_path: Path) -
     first, second = ["4", "0.5", "1", "2", "0"], ["4", "0.5", "1", "2", "1"]
     up, no_force, none = ["0.0", "0.0", "1.0"], ["0.0"] * 3, [""] * 3
     # 3 N at (10, 10), 1 N at (20, 20) and 0.5 N at (40, 40) mm, towards -z.
-    net = ["0.0", "0.0", "-4.5", *none, "-70.0", "70.0", "0.0", *none, *no_force]
+    net = ["0.0", "0.0", "-4.5", *none, "-70.0", "70.0", "0.0", *none, *no_force, ""]
     assert rows == [
         [*first, "4.0", "12.5", "12.5", "0.0", "7 14", "0", "20.82", "0.5", *[""] * 8, *up, *net],
         [*second, "0.5", "40.0", "40.0", "0.0", "28", "1", "11.55", "0.5", *[""] * 8, *up, *net],
-        ["6", "0.75", "1", "0", *[""] * 20, *no_force, *none, *no_force, *none, *no_force],
+        ["6", "0.75", "1", "0", *[""] * 20, *no_force, *none, *no_force, *none, *no_force, ""],
     ]
     with refused("output-exists") as caught:
         Recorder(path)
@@ -354,9 +354,9 @@ def test_a_recording_of_regions_has_a_row_for_each_frame(tmp_path: Path) -> None
         recorder.add(make.frame(reading({7: 3.0, 29: 0.5}), sequence=4, timestamp_s=0.5))
         recorder.add(make.frame(Reading.none("it is black"), sequence=5, timestamp_s=0.6))
     assert [line.split(",") for line in path.read_text().splitlines()] == [
-        ["sequence", "timestamp_s", "valid", "total_N", "region_thumb_N", "region_index tip_N"],
-        ["4", "0.5", "1", "3.5", "3.0", "0.5"],
-        ["5", "0.6", "0", "0.0", "0.0", "0.0"],
+        [*COLUMNS[:3], "total_N", "region_thumb_N", "region_index tip_N", "warnings"],
+        ["4", "0.5", "1", "3.5", "3.0", "0.5", ""],
+        ["5", "0.6", "0", "0.0", "0.0", "0.0", "it is black"],
     ]
     assert recorder.rows == 2
     with refused("output-exists") as caught:
@@ -367,7 +367,7 @@ def test_a_recording_of_regions_has_a_row_for_each_frame(tmp_path: Path) -> None
 class Full(io.FileIO):
     """A file on a disk that takes few bytes more."""
 
-    room = 560
+    room = 570
 
     def write(self, data: Any) -> int:
         if self.room <= 0:
@@ -386,7 +386,7 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.Monke
         with refused("output-not-writable"):
             recorder.add(messages().frame(reading({7: 3.0, 28: 1.0}), sequence=1, timestamp_s=0.1))
     assert path.read_bytes() == whole
-    assert whole.endswith(b",0.0,0.0,0.0\n")
+    assert whole.endswith(b",0.0,0.0,0.0,\n")
     monkeypatch.setattr(Full, "room", 20)
     with refused("output-not-writable"):
         Recorder(tmp_path / "none.csv")
