@@ -1,6 +1,6 @@
 """Sections of the page."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
 
@@ -206,6 +206,12 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
     )
 
 
+def forces_up_to(texts: Iterable[str], most_N: float) -> list[str]:
+    """Forces such as "5 N" in order, without those above the design's largest."""
+    of_force = {float(text.split()[0]): text for text in texts}
+    return [of_force[force_N] for force_N in sorted(of_force) if force_N <= most_N]
+
+
 def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
     """Cramér-Rao bounds."""
     names = {
@@ -221,8 +227,7 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
     keys = [key for key in names if all(key in row for row in found["bound"].values())]
     head = [names[key].format(along=words.along_short, around=words.around_short) for key in keys]
     most_N = context.design.training.force_max_N
-    usual = {float(text.split()[0]): text for text in found["bound"]}
-    order = [usual[force_N] for force_N in sorted(usual) if force_N <= most_N]
+    order = forces_up_to(found["bound"], most_N)
     largest = f"{most_N:g}"
     rows = [(force, *(found["bound"][force][key] for key in keys)) for force in order]
     return (

@@ -11,6 +11,7 @@ from phytac_decoder.io.bundle import load_bundle
 from phytac_design.cli import build_command
 from phytac_design.design.design_file import load_design
 from phytac_design.report.built_sensors import FIGURES, read_builds
+from phytac_design.report.report_sections import forces_up_to
 from phytac_design.report.verdict import best_of, decoded
 from phytac_design.stages.build import BuildResult
 from phytac_design.training.evaluation.tables import COLUMNS_MD
@@ -62,6 +63,10 @@ def test_the_bound_of_ten_newtons(built: BuildResult, page: str) -> None:
     (build,) = read_builds([built.out])
     compared = {figure.key: figure.of(build.report) for figure in FIGURES}
     assert compared["bound_10N_worst_N"] == report["resolution"]["bound"]["10 N"]["force_N_worst"]
+
+
+def test_bounds_are_listed_up_to_the_largest_force() -> None:
+    assert forces_up_to(["10 N", "1 N", "25 N", "8 N"], 8.0) == ["1 N", "8 N"]
 
 
 def test_maps_are_of_the_largest_force(built: BuildResult, page: str) -> None:
