@@ -156,6 +156,7 @@ class Assembly:
             scene,
             vertices=np.concatenate([scene.vertices, corners]),
             triangles=np.concatenate([scene.triangles, faces]).astype(np.int32),
+            closed=False,
             part=np.append(scene.part, np.full(2, FIRST_MARKER + 2 * marker)).astype(np.int32),
             vertex_owner=np.append(scene.vertex_owner, np.full(4, marker)).astype(np.int32),
         )

@@ -30,9 +30,10 @@ class Accuracy:
     truth_refine : int
         The same for the simulated sensor's finer mesh, which is not nested in the decoder's.
     sample_share : float
-        Fraction of the design's training and test samples that is simulated.
+        Fraction of the design's training and test samples that is simulated; see ``frames``.
     frames : int
-        Rendered frames that are decoded for the report.
+        Rendered frames that are decoded for the report, and a fifth of the largest number of
+        held-out samples that are decoded from their points.
     place_share : float
         Spacing of the tabulated places of the estimator ``auto``, over the patches' mean radius.
     place_orders : int

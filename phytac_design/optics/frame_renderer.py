@@ -6,8 +6,10 @@ sRGB.
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Perspective, Pinhole
@@ -22,7 +24,7 @@ from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND, to_linear, to_srgb
 from phytac_design.optics.raster import project_scene
 from phytac_design.optics.rays import ray_grid
-from phytac_design.optics.render_scene import RenderScene
+from phytac_design.optics.render_scene import FIRST_MARKER, RESIN, RenderScene
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import FloatArray, ImageArray
 
@@ -30,6 +32,8 @@ BAND_ROWS = 128
 SAMPLES = 89
 """Of a pixel; of as many as a Fibonacci number the rows and columns are most even."""
 EDGE_SAMPLES_MIN = 16
+FOUR_FROM = 64
+"""Samples from which on edges are searched with four samples a pixel; with one below."""
 EDGE_LEVELS = 1.0
 """Difference of two shades, grey levels, from which on there is an edge between them."""
 
@@ -69,6 +73,16 @@ def render_frame(
     return frame
 
 
+def quick_samples(camera: Camera) -> int:
+    """Samples per pixel of frames that are rendered only to be decoded.
+
+    Of large images 34 in place of 89: shifts of centroids are off by 0.010 px RMS in place of 0.006
+    (``cylinder60``, 5 megapixels), in 0.6 times the time.
+    """
+    large_px = 2e6
+    return 34 if camera.width_px * camera.height_px >= large_px else SAMPLES
+
+
 def render_light(
     scene: RenderScene,
     camera: Camera,
@@ -81,7 +95,7 @@ def render_light(
     """Linear light (h, w, 3) on the pixels, BGR: the mean over each pixel's area and the lens.
 
     Of a lens that is sharp everywhere, ``samples`` of 16 or more are taken where light changes
-    between neighbouring pixels, and 4 elsewhere.
+    between neighbouring pixels, and 4 elsewhere (1 with fewer than 64).
 
     Parameters
     ----------
@@ -116,7 +130,7 @@ def render_light(
     for offset, point in zip(sample_offsets(count) / side, points, strict=True):
         if view is None or lens_mm is not None:
             view = project_scene(through_lens(scene, camera, point, focus_mm), finer)
-            extent = row_extent(view)
+            extent = row_extent(view, scene)
         for place in lattice:
             _look(view, extent, finer, offset + place, rows, total)
     total /= np.float32(samples)
@@ -161,11 +175,22 @@ def _finer(camera: Camera, side: int) -> Camera:
     )
 
 
-def row_extent(view: View) -> tuple[FloatArray, FloatArray]:
-    """First and last row of the image that each piece may reach, px."""
+def row_extent(view: View, scene: RenderScene) -> tuple[FloatArray, FloatArray]:
+    """First and last row of the image that each piece may reach, px; none for hidden faces.
+
+    The faces of a closed body that look away from the camera are behind those that look at it:
+    without them frames of 5 megapixels take two thirds of the time.
+    """
     a, b, c = view.image[:, :, 1].T
     low = np.minimum(np.minimum(a, b), c) - view.bulge
-    return low, np.maximum(np.maximum(a, b), c) + view.bulge
+    high = np.maximum(np.maximum(a, b), c) + view.bulge
+    if not scene.closed:
+        return low, high
+    p, q, r = (view.camera[view.triangles[:, corner]] for corner in range(3))
+    part = scene.part[view.source]
+    hidden = (part >= FIRST_MARKER) | (part == RESIN)
+    hidden &= np.einsum("ij,ij->i", p, np.cross(q, r)) > 0.0
+    return np.where(hidden, np.inf, low), np.where(hidden, -np.inf, high)
 
 
 def _look(
@@ -223,15 +248,15 @@ def _look_at_edges(
     samples: int,
     total: NDArray[np.float32],
 ) -> None:
-    """Write the light of all pixels to ``total``: many samples on edges, four elsewhere."""
-    side = 2
+    """Write the light of all pixels to ``total``: many samples on edges, four or one elsewhere."""
+    side = 2 if samples >= FOUR_FROM else 1
     shade = to_srgb(light.astype(np.float64)).astype(np.float32)
     straight = isinstance(camera.lens, Pinhole)
     view = project_scene(scene, camera)
-    extent = row_extent(view)
+    extent = row_extent(view, scene)
     finer = _finer(camera, side) if straight else camera
-    coarse = project_scene(scene, finer) if straight else view
-    coarse_extent = row_extent(coarse)
+    coarse = project_scene(scene, finer) if straight and side > 1 else view
+    coarse_extent = row_extent(coarse, scene)
     offsets = np.ascontiguousarray(sample_offsets(samples).T.astype(np.float32))
 
     def owners(first: int, last: int) -> NDArray[np.int32]:
@@ -268,13 +293,16 @@ def _look_at_edges(
 
 
 def add_noise(image: ImageArray, std: float, rng: np.random.Generator) -> ImageArray:
-    """Image with independent Gaussian noise of ``std`` grey levels on every channel, rounded."""
-    noise = rng.standard_normal(image.shape, dtype=np.float32)
-    noise *= np.float32(std)
-    noise += image
-    np.rint(noise, out=noise)
-    np.clip(noise, 0.0, 255.0, out=noise)
-    return noise.astype(np.uint8)
+    """Image with independent Gaussian noise of ``std`` grey levels on every channel, rounded.
+
+    A grey level is a whole number, so that the noise can be rounded before it is added: it is
+    drawn from a table of 65,536 quantiles, in a third of the time, and ends at 4.3 ``std``.
+    """
+    draws = 2**16
+    table = np.rint(std * ndtri((np.arange(draws) + 0.5) / draws)).astype(np.int16)
+    noise = table[rng.integers(0, draws, size=image.shape, dtype=np.uint16)]
+    noisy: ImageArray = cv2.add(image, noise, dtype=cv2.CV_8U)  # saturated
+    return noisy
 
 
 def sample_offsets(count: int) -> FloatArray:

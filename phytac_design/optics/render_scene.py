@@ -57,6 +57,9 @@ class RenderScene:
         Number of reference marks, which have the first paint.
     table : PaintsSection
         What paints and resin look like.
+    closed : bool
+        Whether receptors and their tips are closed, their triangles turned the same way: faces that
+        look away from the camera are then hidden.
     """
 
     vertices: FloatArray
@@ -67,6 +70,7 @@ class RenderScene:
     paints: tuple[str, ...]
     marks: int = 0
     table: PaintsSection = NOMINAL_PAINTS
+    closed: bool = False
 
     @property
     def count(self) -> int:
@@ -93,6 +97,7 @@ class RenderScene:
             triangles=index.reshape(-1, 3).astype(np.int32),
             part=self.part[chosen],
             vertex_owner=self.vertex_owner[vertices],
+            closed=False,
         )
 
     def moved(
@@ -213,6 +218,7 @@ def build_scene(
         paints=tuple(design.layout.colours),
         table=design.paints,
         marks=painted,
+        closed=True,
     )
 
 

@@ -11,7 +11,6 @@ from phytac_decoder.io.bundle import load_bundle
 from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.layout.heights_along import along_mm, middle_mm
-from phytac_design.optics.frame_renderer import SAMPLES
 from phytac_design.simulation.contacts import Switching
 from phytac_design.simulation.force_errors import score_contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
@@ -82,6 +81,7 @@ def run(context: Context, folder: Path) -> None:
     contacts, switching = frame_contacts(context)
     tally = decode_all(context, folder, switching)
     height = along_mm(context.surface, contacts.uv)
+    samples = context.facts("renders")["samples"]
     scores: dict[str, Any] = {
         name: score_contacts(
             forces, contacts, switching, height_mm=height, middle_mm=middle_mm(context.surface)
@@ -92,7 +92,7 @@ def run(context: Context, folder: Path) -> None:
         folder,
         {
             "frames": contacts.samples,
-            "renderer": f"own rasteriser, {SAMPLES} samples a pixel on edges, sensor noise",
+            "renderer": f"own rasteriser, {samples} samples a pixel on edges, sensor noise",
             "contacts": len(contacts.force_N),
             "tripped_no_switch": int((~switching.tripped).sum()),
             "koi": int(switching.bits.sum()),

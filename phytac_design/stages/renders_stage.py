@@ -13,7 +13,7 @@ from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_design.optics.frame_renderer import add_noise, render_frame
+from phytac_design.optics.frame_renderer import add_noise, quick_samples, render_frame
 from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
 from phytac_design.simulation.linear_response import motion_responses, superpose
@@ -101,7 +101,7 @@ def render_sample(
         out = pressed.switching.shown[index]
         still = pressed.motion[index] if motion is None else motion
     return tuple(
-        render_frame(scene.scene(still, out), camera)
+        render_frame(scene.scene(still, out), camera, samples=quick_samples(camera))
         for scene, camera in zip(scenes, context.sensor.cameras, strict=True)
     )
 
@@ -128,7 +128,8 @@ def run(context: Context, folder: Path) -> None:
         context.progress(f"renders: {number} of {len(jobs)}")
         for camera, frame in enumerate(render_sample(context, scenes, pressed, index, motion)):
             write_image(folder / f"{name}_{camera}.png", frame)
-    write_facts(folder, {"renders": len(jobs) * len(scenes)})
+    samples = quick_samples(context.sensor.cameras[0])
+    write_facts(folder, {"renders": len(jobs) * len(scenes), "samples": samples})
 
 
 def rendered(context: Context, name: str) -> tuple[ImageArray, ...]:

@@ -137,7 +137,7 @@ def run_twin(context: Context, folder: Path) -> None:
     """Draw contacts, solve them on the finer mesh, project and add noise."""
     design = context.design
     rng = np.random.default_rng([context.seed, 1])
-    count = samples_of(design, context.accuracy.sample_share)
+    count = samples_of(design, context.accuracy.sample_share, context.accuracy.frames)
     if context.scene is not None and not context.scene.networks:
         count = dict(SCENE_SAMPLES)
     scope = scope_of(context)
@@ -222,9 +222,13 @@ def deepest_dent_mm(context: Context, responses: FloatArray, force_N: FloatArray
     return dent
 
 
-def samples_of(design: Design, share: float) -> dict[str, int]:
-    """Samples of each set."""
-    test = max(round(share * design.training.samples_test), 10)
+def samples_of(design: Design, share: float, frames: int) -> dict[str, int]:
+    """Samples of each set, of a share of the design's and of a number of rendered frames.
+
+    Held-out samples beyond five for each frame are left out: they would make the scores of points
+    more certain than those of frames, at 20 ms each.
+    """
+    test = max(round(min(share * design.training.samples_test, 5.0 * frames)), 10)
     return {
         "train": max(round(share * design.training.samples), 20),
         "test": test,
@@ -244,7 +248,7 @@ RESPONSE = Stage(
 TWIN = Stage(
     name="twin",
     design_fields=("mechanics", "trips", "training", "camera.noise_centroid_px"),
-    settings=("truth_refine", "sample_share"),
+    settings=("truth_refine", "sample_share", "frames"),
     depends_on=("views",),
     arrays=IMAGE_ARRAYS,
     seeded=True,

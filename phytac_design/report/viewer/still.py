@@ -45,7 +45,7 @@ def cut_open(
     keep[wall] = surface.normal(surface.chart(middle[wall])) @ eye <= 0.0
     owner = scene.triangle_owner
     keep[owner >= 0] = (markers.normal @ eye <= 0.0)[owner[owner >= 0]]
-    return replace(scene, triangles=scene.triangles[keep], part=scene.part[keep])
+    return replace(scene, triangles=scene.triangles[keep], part=scene.part[keep], closed=False)
 
 
 def camera_at(

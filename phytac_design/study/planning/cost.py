@@ -133,7 +133,7 @@ class Workload:
         design, camera, n = self.design, self.design.camera, self.markers.count
         pixels = len(camera.end_numbers) * camera.width_px * camera.height_px / 1e6
         in_play = n if in_play is None else in_play
-        samples = samples_of(design, accuracy.sample_share)
+        samples = samples_of(design, accuracy.sample_share, accuracy.frames)
         if scene is not None and not scene.networks:
             samples = {"train": 0, **SCENE_SAMPLES}
         at_once = scene.at_once if scene else ALL_AT_ONCE

@@ -134,6 +134,7 @@ def score_error(design: Design, settings: Settings, truth: float) -> float:
 
     The mean of n errors whose scatter equals their size has a relative error of 1/√n.
     """
-    samples = samples_of(design, float(settings["sample_share"]))["test"]
-    few = 1.0 / np.sqrt(min(samples, int(settings["frames"])))
+    frames = int(settings["frames"])
+    samples = samples_of(design, float(settings["sample_share"]), frames)["test"]
+    few = 1.0 / np.sqrt(min(samples, frames))
     return float(np.hypot(few, truth))
