@@ -90,13 +90,12 @@ def to_triangles(solid: Any) -> TriangleMesh:
     )
 
 
-def stl_triangles(solid: Any, *, step_mm: float = 1e-5) -> TriangleMesh:
-    """Triangles of a ``manifold3d.Manifold`` that survive the single precision of an STL file.
+def stl_triangles(mesh: TriangleMesh, *, step_mm: float = 1e-5) -> TriangleMesh:
+    """Triangles of a closed mesh that survive the single precision of an STL file.
 
     Corners are rounded to ``step_mm`` and those that become equal are merged; triangles lower than
     the step, whose direction single precision cannot hold, are removed.
     """
-    mesh = to_triangles(solid)
     rounded = (step_mm * np.round(mesh.vertices_mm / step_mm)).astype(np.float32) + np.float32(0.0)
     points, ids = distinct_points(rounded)
     triangles = proper_triangles(ids[mesh.triangles])

@@ -10,7 +10,7 @@ from phytac_design.fabrication.calibration_rig.program import gcode, make_progra
 from phytac_design.fabrication.calibration_rig.regions import make_regions
 from phytac_design.fabrication.calibration_rig.tool_bodies import kit_bodies, kit_parts
 from phytac_design.solids.mesh_export import write_stl
-from phytac_design.solids.solid_mesh import stl_triangles
+from phytac_design.solids.solid_mesh import stl_triangles, to_triangles
 from phytac_design.stages.switch_stage import switches_of, without_switches
 
 
@@ -30,7 +30,8 @@ def run(context: Context, folder: Path) -> None:
         tolerance_mm=context.accuracy.cad_tolerance_mm,
     )
     for piece in kit.pieces:
-        write_stl(stl_triangles(piece.body), export_path(folder, f"kit/{piece.name}.stl"))
+        mesh = stl_triangles(to_triangles(piece.body))
+        write_stl(mesh, export_path(folder, f"kit/{piece.name}.stl"))
 
     program = make_program(sensor, regions, bowl_mm=bowl)
     write_text(folder, "kit/program.csv", program_csv(program, markers))

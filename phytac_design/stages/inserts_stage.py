@@ -9,7 +9,7 @@ from phytac_design.fabrication.inserts.fits import fits_of
 from phytac_design.fabrication.inserts.insert_solids import plate_manifold
 from phytac_design.fabrication.inserts.sprues import placement_csv, plan_sprues, plates
 from phytac_design.solids.mesh_export import write_stl
-from phytac_design.solids.solid_mesh import stl_triangles
+from phytac_design.solids.solid_mesh import stl_triangles, to_triangles
 
 
 def run(context: Context, folder: Path) -> None:
@@ -26,7 +26,7 @@ def run(context: Context, folder: Path) -> None:
             file = f"inserts/{colour}_{number}.stl"
             context.progress(f"inserts: {file}")
             solid = plate_manifold(design, placed, tolerance_mm=tolerance)
-            write_stl(stl_triangles(solid), export_path(folder, file))
+            write_stl(stl_triangles(to_triangles(solid)), export_path(folder, file))
             inserts = sum(len(sprue.markers) for sprue, _ in placed)
             part = bill_part(
                 f"sprues with {inserts} {colour} inserts",

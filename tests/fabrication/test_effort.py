@@ -69,7 +69,7 @@ def test_rigid_plates_are_estimated_too(tmp_path: Path) -> None:
     (mold,) = make_molds(case.mold, case.print_rules, made)
     sizes, (plan,) = plan_molds(case.mold, case.print_rules, made)
     found = mold_volumes(plan, sizes)
-    printed = sum(mold.printed(name).volume_mm3 for name in mold.parts)
+    printed = sum(mold.printed[name].volume_mm3 for name in mold.parts)
     assert found.printed_mm3 == pytest.approx(printed, rel=0.004)
     assert found.silicone_mm3 == 0.0
     assert effort_of(Sensor(case)).parts["molds"] == len(mold.parts) == 3

@@ -84,7 +84,7 @@ def test_every_piece_is_one_sound_solid(name: str) -> None:
 def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
     for piece in kit_of(name)[1].pieces:
         path = tmp_path / f"{piece.name}.stl"
-        write_stl(stl_triangles(piece.body), path)
+        write_stl(stl_triangles(to_triangles(piece.body)), path)
         out = subprocess.run(
             ["admesh", str(path)], capture_output=True, text=True, errors="replace", check=True
         )
@@ -96,7 +96,8 @@ def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
 
 def test_cleaning_keeps_the_solid_and_leaves_no_needle() -> None:
     body = body_of("patch", "plate_1")
-    rough, smooth = to_triangles(body), stl_triangles(body)
+    rough = to_triangles(body)
+    smooth = stl_triangles(rough)
 
     def least(mesh: TriangleMesh) -> float:
         a, b, c = np.moveaxis(mesh.corners_mm.astype(np.float32).astype(np.float64), 1, 0)

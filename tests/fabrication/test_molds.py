@@ -69,7 +69,7 @@ def test_what_is_left_between_the_halves_is_the_switch_in_closed_form(way: str) 
     """Two spheres and a straight stem by hand; pad, flank and fillets add a little."""
     switches = switch_set((5.0,))
     (made,) = molds(switches, way=way, tolerance_mm=0.01, shrink_rubber=0.0)
-    (cavity,) = cavities_of(made.plan, made.sizes, halves_of(made.parts, made.sizes)).values()
+    (cavity,) = cavities_of(made.plan, made.sizes, halves_of(made)).values()
     bowl = switches.bowls[0]
     radius, centre = bowl.outer_radius_mm, bowl.centre_mm
 
@@ -102,7 +102,7 @@ def test_shrinkage_of_every_step_is_taken_out(way: str) -> None:
     )
     parts = {}
     for name in made.parts:
-        mesh = made.printed(name)
+        mesh = made.printed[name]
         points = (1.0 - printer) * mesh.vertices_mm
         if way == "silicone-master":
             points = (1.0 - silicone) * points
@@ -112,7 +112,7 @@ def test_shrinkage_of_every_step_is_taken_out(way: str) -> None:
         parts[name] = TriangleMesh(
             vertices_mm=points + np.array([0.0, 0.0, height]), triangles=mesh.triangles
         )
-    (cavity,) = cavities_of(made.plan, made.sizes, halves_of(parts, made.sizes)).values()
+    (cavity,) = cavities_of(made.plan, made.sizes, halves_of(replace(made, parts=parts))).values()
     true = switches.profile(switches.kinds[0], 1e-4)
     fit = fit_of(cavity, true, rubber)
     assert abs(fit.volume_error) < 0.005
@@ -134,7 +134,7 @@ def test_print_scale_is_the_shrinkage_s(way: str) -> None:
     (large,) = molds(way=way, shrink_silicone=0.04, shrink_print=0.1)
     scale = 1.0 / 0.9 / (0.96 if way == "silicone-master" else 1.0)
     for name in plain.parts:
-        ratio = large.printed(name).volume_mm3 / plain.printed(name).volume_mm3
+        ratio = large.printed[name].volume_mm3 / plain.printed[name].volume_mm3
         assert ratio == pytest.approx(scale**3, rel=1e-6)
 
 
@@ -143,7 +143,7 @@ def test_stem_length_moves_the_depth_of_the_cavity() -> None:
         depths = []
         for reach in (5.0, 6.5):
             (made,) = molds(switch_set((reach,)), way=way, shrink_rubber=0.02)
-            halves = halves_of(made.parts, made.sizes)
+            halves = halves_of(made)
             (cavity,) = cavities_of(made.plan, made.sizes, halves).values()
             depths.append(-cavity.vertices_mm[:, 2].min())
         assert depths == pytest.approx([5.0 / 0.98, 6.5 / 0.98], abs=1e-4)
@@ -152,7 +152,7 @@ def test_stem_length_moves_the_depth_of_the_cavity() -> None:
 def test_a_wrong_switch_is_seen() -> None:
     switches = switch_set((4.0,))
     (made,) = molds(switches)
-    (cavity,) = cavities_of(made.plan, made.sizes, halves_of(made.parts, made.sizes)).values()
+    (cavity,) = cavities_of(made.plan, made.sizes, halves_of(made)).values()
     other = switch_set((4.0,), None, {"thickness_mm": 0.25})
     fit = fit_of(cavity, other.profile(other.kinds[0], 1e-4), 0.005)
     assert fit.hausdorff_mm > 0.025
@@ -219,7 +219,7 @@ def test_plates_that_do_not_mate_are_seen() -> None:
     switches = switch_set()
     (made,) = molds(switches, way="rigid")
     aside = changed(made, "core_plate", moved(made.parts["core_plate"], np.array([0.3, 0.0, 0.0])))
-    halves = halves_of(aside.parts, aside.sizes)
+    halves = halves_of(aside)
     assert shared_mm3(*halves) > 1.0
     assert audit_of(aside, switches).key_gap_mm == 0.0
     with refused("mold-volume-mismatch"):
@@ -244,7 +244,7 @@ def test_both_ways_close_around_the_same_rubber() -> None:
     if (rigid.plan.columns, rigid.plan.lines) != (cast.plan.columns, cast.plan.lines):
         pytest.fail("the small set must give one grid both ways")
     plate = rigid.parts["dome_plate"].volume_mm3
-    dome, core = halves_of(cast.parts, cast.sizes)
+    dome, core = halves_of(cast)
     assert dome.volume() == pytest.approx(plate, rel=1e-6)
     assert len(dome.decompose()) == len(core.decompose()) == 1
     # Vents go right through the silicone: one hole for each cavity.
@@ -257,11 +257,11 @@ def test_poured_volumes_follow_the_mold(way: str) -> None:
     (made,) = molds(switches, way=way)
     audit, fine = audit_of(made, switches), fine_sections(switches)
     poured = volumes_mm3(made, audit, fine)
-    cells = cavities_of(made.plan, made.sizes, halves_of(made.parts, made.sizes))
+    cells = cavities_of(made.plan, made.sizes, halves_of(made))
     counted = sum(run.count * cells[run.kind].volume_mm3 for run in made.plan.runs)
     assert poured["switches"] == pytest.approx(counted, rel=0.003)
     # The dome half up to the parting plane, by what is left of a block.
-    dome, _ = halves_of(made.parts, made.sizes)
+    dome, _ = halves_of(made)
     x, y = 0.5 * made.sizes.pitch_mm * np.array([made.plan.columns, made.plan.lines])
     away = made.sizes.section.wall_mm + made.sizes.section.moat_mm
     away += made.sizes.section.overflow_mm * np.tan(np.radians(15.0))
@@ -278,7 +278,7 @@ def test_long_stems_take_more_rubber_than_the_cores_displace() -> None:
     switches = switch_set((12.0,) * 4, None, {"stem_diameter_mm": 1.5, "pad_diameter_mm": 1.5})
     (made,) = molds(switches, way="rigid", shrink_rubber=0.0)
     audit, fine = audit_of(made, switches), fine_sections(switches)
-    dome, core = halves_of(made.parts, made.sizes)
+    dome, core = halves_of(made)
     (cavity,) = cavities_of(made.plan, made.sizes, (dome, core)).values()
     whole = to_manifold(cavity)
     below = whole.trim_by_plane((0.0, 0.0, -1.0), 0.0).volume()
@@ -301,5 +301,5 @@ def test_files_need_no_repair(way: str, tmp_path: Path) -> None:
     (made,) = molds(way=way)
     for name in made.parts:
         path = tmp_path / f"{name}.stl"
-        write_stl(made.printed(name), path)
+        write_stl(made.printed[name], path)
         assert_admesh_finds_nothing(path)

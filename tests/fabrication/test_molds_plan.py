@@ -81,9 +81,9 @@ def test_a_larger_bed_takes_fewer_sets() -> None:
         assert sum(made.plan.cavities for made in sets) == 100
         for made in sets:
             for name in made.parts:
-                size = np.ptp(made.printed(name).vertices_mm, axis=0)
+                size = np.ptp(made.printed[name].vertices_mm, axis=0)
                 assert size[:2].max() <= bed
-                assert made.printed(name).vertices_mm[:, 2].min() == 0.0
+                assert made.printed[name].vertices_mm[:, 2].min() == 0.0
 
 
 def height_at(made: MoldSet, name: str, cell: tuple[int, int], places: FloatArray) -> FloatArray:

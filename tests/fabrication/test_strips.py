@@ -276,7 +276,7 @@ def test_molds_of_strips_release_close_and_hold_the_strip(
     assert audit.volume_error < 0.003
     poured, planned_mm3 = volumes_mm3(made, audit, fine), mold_volumes(made.plan, made.sizes)
     assert planned_mm3.rubber_mm3 == pytest.approx(poured["rubber"], rel=0.05)
-    printed = sum(made.printed(name).volume_mm3 for name in made.parts)
+    printed = sum(made.printed[name].volume_mm3 for name in made.parts)
     assert planned_mm3.printed_mm3 == pytest.approx(printed, rel=0.01)
 
 
@@ -299,7 +299,7 @@ def test_a_web_that_is_missing_or_too_thick_is_found(
     cast: tuple[MoldSet, SwitchSet, StripSet],
 ) -> None:
     made, switches, _ = cast
-    halves, fine = halves_of(made.parts, made.sizes), fine_sections(switches)
+    halves, fine = halves_of(made), fine_sections(switches)
     dome, core = halves
     (thick, half), plan = made.sizes.web_mm, made.plan
     (bar, *_) = Cells(plan, made.sizes).webs((0.0, thick), (half, half))

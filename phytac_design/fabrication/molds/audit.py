@@ -139,10 +139,10 @@ def audit_set(made: MoldSet, fine: Mapping[SwitchKind, FloatArray]) -> Audit:
         If a part is not closed.
     """
     plan, sizes = made.plan, made.sizes
-    halves = halves_of(made.parts, sizes)
+    halves = halves_of(made)
     shared, gap = [shared_mm3(*halves)], None
     if "cap_plate" in made.parts:
-        cap = to_manifold(made.parts["cap_plate"])
+        cap = made.solids["cap_plate"]
         shared.append(shared_mm3(halves[1], cap))
         cells = [run.cells[0] for run in plan.runs]
         gap = least_gap_mm(made, cells, (-sizes.depth_mm, 0.0), (halves[1], cap))
@@ -161,21 +161,21 @@ def audit_set(made: MoldSet, fine: Mapping[SwitchKind, FloatArray]) -> Audit:
     )
 
 
-def halves_of(parts: Mapping[str, TriangleMesh], sizes: MoldSizes) -> tuple[Any, Any]:
+def halves_of(made: MoldSet) -> tuple[Any, Any]:
     """The two solids that close around the rubber: plates, or silicone cast up to the lips."""
-    if sizes.section.way == "rigid":
-        return to_manifold(parts["dome_plate"]), to_manifold(parts["core_plate"])
-    section = sizes.section
+    sizes, section = made.sizes, made.sizes.section
+    if section.way == "rigid":
+        return made.solids["dome_plate"], made.solids["core_plate"]
 
-    def cast(tray: TriangleMesh, low_mm: float, high_mm: float) -> Any:
+    def cast(name: str, low_mm: float, high_mm: float) -> Any:
         # Half the frame's wall: the block's sides lie inside it at every height.
-        x, y = np.abs(tray.vertices_mm[:, :2]).max(axis=0) - 0.5 * section.wall_mm
-        return box(np.array([-x, -y, low_mm]), np.array([x, y, high_mm])) - to_manifold(tray)
+        x, y = np.abs(made.parts[name].vertices_mm[:, :2]).max(axis=0) - 0.5 * section.wall_mm
+        return box(np.array([-x, -y, low_mm]), np.array([x, y, high_mm])) - made.solids[name]
 
     half = 0.5 * section.backing_mm
     return (
-        cast(parts["dome_tray"], -section.fence_mm - half, sizes.top_mm),
-        cast(parts["core_tray"], -sizes.depth_mm, sizes.core_mm + half),
+        cast("dome_tray", -section.fence_mm - half, sizes.top_mm),
+        cast("core_tray", -sizes.depth_mm, sizes.core_mm + half),
     )
 
 
@@ -186,7 +186,7 @@ def shared_mm3(first: Any, second: Any) -> float:
 
 def releases_of(made: MoldSet) -> dict[str, Release]:
     """Undercuts and slopes of each part; stem holes of a core plate end at their troughs."""
-    out = {name: check_release(mesh) for name, mesh in made.parts.items()}
+    out = {name: check_release(mesh, made.solids[name]) for name, mesh in made.parts.items()}
     if "core_plate" in made.parts:
         # A hole that widens downwards lets every ray pass, but not what was cast in it.
         sizes = made.sizes
@@ -209,11 +209,11 @@ def releases_of(made: MoldSet) -> dict[str, Release]:
     return out
 
 
-def check_release(mesh: TriangleMesh) -> Release:
+def check_release(mesh: TriangleMesh, solid: Any = None) -> Release:
     """Undercut of a closed part against a pull along z, and its steepest face.
 
     A part that releases both ways is met once from above: its faces that look up cover its outline
-    once. What they cover more is undercut.
+    once. What they cover more is undercut. ``solid`` is the part, where it is known already.
     """
     from manifold3d import CrossSection, FillRule
 
@@ -221,7 +221,7 @@ def check_release(mesh: TriangleMesh) -> Release:
     corners = mesh.corners_mm
     normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size, level = np.linalg.norm(normal, axis=1), normal[:, 2]
-    outline = to_manifold(mesh).project().to_polygons()
+    outline = (solid or to_manifold(mesh)).project().to_polygons()
     covered = float(CrossSection(outline, FillRule.Positive).area())
     real = size > area_mm2
     return Release(
@@ -243,7 +243,7 @@ def cavities_of(
     start = np.column_stack([centre, low])
     end = np.column_stack([centre, np.full(len(centre), sizes.dome_mm + 0.1)])
     columns = prisms(start, end, sizes.rim_mm + 0.5 * sizes.section.land_mm, 48)
-    rest = to_manifold(columns) - halves[0] - halves[1].translate((0.0, 0.0, pressed_mm))
+    rest = _left_of(to_manifold(columns), halves, pressed_mm)
     if plan.strips:
         rest -= _web_around(plan, sizes)
     bodies = [to_triangles(body) for body in rest.decompose()]
@@ -259,6 +259,14 @@ def cavities_of(
         body = max((bodies[k] for k in near), key=lambda mesh: mesh.volume_mm3)
         found[kind] = body.moved(-np.array([*at, 0.0]))
     return found
+
+
+def _left_of(region: Any, halves: tuple[Any, Any], pressed_mm: float) -> Any:
+    """What two halves leave of a region, the core's raised by ``pressed_mm``."""
+    rest = region - halves[0]
+    # Evaluated here: in one expression manifold3d first unites the halves, at six times the cost.
+    rest.status()
+    return rest - halves[1].translate((0.0, 0.0, pressed_mm))
 
 
 def _web_around(plan: PlateLayout, sizes: MoldSizes) -> Any:
@@ -299,7 +307,7 @@ def strip_fits(
         to_manifold(prisms(start[k : k + 1], end[k : k + 1], sizes.rim_mm + land, 48))
         for k in range(len(at))
     ]
-    rest = united(region) - halves[0] - halves[1].translate((0.0, 0.0, pressed_mm))
+    rest = _left_of(united(region), halves, pressed_mm)
     volumes: dict[int, list[float]] = {each: [] for each in first}
     for body in rest.decompose():
         if body.volume() > speck_mm3:
@@ -463,8 +471,7 @@ def audit_facts(made: MoldSet, audit: Audit) -> dict[str, Any]:
         label = strip_label(strip.number)
         strips[label] = strips.get(label, 0) + 1
     plates = {}
-    for name in made.parts:
-        mesh = made.printed(name)
+    for name, mesh in made.printed.items():
         plates[name] = {
             "triangles": len(mesh.triangles),
             "size_mm": np.ptp(mesh.vertices_mm, axis=0).round(3).tolist(),

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -55,15 +57,22 @@ class MoldSet:
     sizes: MoldSizes
     parts: dict[str, TriangleMesh]
 
-    def printed(self, name: str) -> TriangleMesh:
-        """Part as it is printed: on the bed, print (and silicone) shrinkage taken out."""
-        mesh = self.parts[name]
-        points = self.sizes.print_scale * mesh.vertices_mm
-        if name in TURNED:
-            points = points * [1.0, -1.0, -1.0]
-        points = points - [0.0, 0.0, points[:, 2].min()]
-        solid = to_manifold(TriangleMesh(vertices_mm=points, triangles=mesh.triangles))
-        return stl_triangles(solid)
+    @cached_property
+    def solids(self) -> dict[str, Any]:
+        """The parts as ``manifold3d.Manifold``."""
+        return {name: to_manifold(mesh) for name, mesh in self.parts.items()}
+
+    @cached_property
+    def printed(self) -> dict[str, TriangleMesh]:
+        """Parts as they are printed: on the bed, print (and silicone) shrinkage taken out."""
+        out = {}
+        for name, mesh in self.parts.items():
+            points = self.sizes.print_scale * mesh.vertices_mm
+            if name in TURNED:
+                points = points * [1.0, -1.0, -1.0]
+            points = points - [0.0, 0.0, points[:, 2].min()]
+            out[name] = stl_triangles(TriangleMesh(vertices_mm=points, triangles=mesh.triangles))
+        return out
 
 
 def strips_of(

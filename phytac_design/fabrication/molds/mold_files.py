@@ -54,9 +54,8 @@ def mold_files(
         check_mold(each, audit)
         out.sets.append(audit_facts(each, audit))
         out.poured_mm3.append(volumes_mm3(each, audit, fine))
-        for name in each.parts:
-            file = f"mold/{name}_{each.plan.number}.stl"
-            out.contents[file] = stl_bytes(each.printed(name))
+        for name, mesh in each.printed.items():
+            out.contents[f"mold/{name}_{each.plan.number}.stl"] = stl_bytes(mesh)
     out.contents["mold/cavities.csv"] = _table(made, switches).encode()
     return out
 
