@@ -1,12 +1,14 @@
 """Contacts on switches that the camera cannot read, on a sensor in closed form."""
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
 
+from phytac_decoder.estimation import contact_fit, locator
 from phytac_decoder.estimation.contact_fit import ShiftNoise
-from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
+from phytac_decoder.estimation.locator import SETTINGS, ContactLocator, SwitchForces
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest, shifts, together
@@ -94,3 +96,21 @@ def test_noise_alone_makes_no_contact_where_switches_cannot_be_read() -> None:
     for _ in range(50):
         noisy = rng.normal(0.0, 0.02, (COUNT, 2))
         assert blind.find(noisy, np.zeros(0, dtype=np.int64)).contacts == []
+
+
+@pytest.mark.parametrize("unread_N", [0.0, 3.0])
+def test_a_contact_is_tried_only_where_linear_theory_foresees_it(unread_N: float) -> None:
+    """The forces of the compliance inverse on unreadable switches are often of other contacts."""
+    loud, unread = point(15.0, 15.0), point(36.0, 36.0)
+    both = together([loud, unread], [10.0, unread_N]).reshape(-1, 2)
+    other = blind_at(unread)
+    start = other._start(
+        np.array([nearest(unread)]), SwitchForces(np.ones(1), np.ones(1)), np.arange(1)
+    )
+    with (
+        mock.patch.object(ContactLocator, "_unreadable_starts", return_value=[start]),
+        mock.patch.object(locator, "fit_contacts", wraps=contact_fit.fit_contacts) as tried,
+    ):
+        found = other.find(both, np.array([nearest(loud)]))
+    assert len(found.contacts) == (2 if unread_N else 1)
+    assert tried.call_count == (2 if unread_N else 1)

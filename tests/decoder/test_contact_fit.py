@@ -69,3 +69,18 @@ def test_a_prior_of_large_indenters_helps_to_read_large_contacts() -> None:
         errors.append(float(np.abs(np.mean(off, axis=0)).max()))
     assert errors[0] < 1.5
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_the_gain_by_a_contact_is_foreseen() -> None:
+    """The score test against the drop of χ² when that contact is fitted."""
+    noise, prior = ShiftNoise(centroid_px=NOISE_PX, share=0.0), ContactPrior(place_mm=1.5)
+    other = AT + np.array([12.0, 6.0, 0.0])
+    row = PLACES.shift_px[PLACES.nearest(other[None]), 0].astype(np.float64)
+    seen = shifts(AT, 10.0) + shifts(other, 0.1, soft=0.0)
+    alone = fitted(seen, noise, prior)
+    true = fitted(shifts(AT, 10.0), noise, prior)
+    # It lies between places, its tables are linear, and the prior takes a little of its force.
+    drop = alone.cost - true.cost
+    assert drop > 20.0
+    assert alone.gain_by(row, seen, prior.force_N) == pytest.approx(drop, rel=0.1)
+    assert true.gain_by(row, shifts(AT, 10.0), prior.force_N) < 0.01 * drop

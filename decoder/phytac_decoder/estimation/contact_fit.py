@@ -223,7 +223,9 @@ class ContactFit:
     inverse : (2n,) float
         Weights: the inverse variance of each shift, reduced for outliers, 0 where a marker was not
         found.
-    covariance : (8c, 8c) float
+    slope : (8c + q, 2n) float
+        Derivatives of the shifts by all unknowns, those of the cameras' motion last.
+    joint_covariance : (8c + q, 8c + q) float
         Covariance of all unknowns.
     cost : float
         Robust sum of squared residuals and of deviations from the prior.
@@ -239,12 +241,31 @@ class ContactFit:
     states: list[ContactState]
     predicted_px: FloatArray
     inverse: FloatArray
-    covariance: FloatArray
+    slope: FloatArray
+    joint_covariance: FloatArray
     cost: float
     reduced_chi2: float
     residual_cost: float
     motion: FloatArray = field(default_factory=lambda: np.zeros(0))
     motion_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (8c, 8c) of the contacts' unknowns."""
+        split = UNKNOWNS * len(self.states)
+        return self.joint_covariance[:split, :split]
+
+    def gain_by(self, rows_px: FloatArray, shift_px: FloatArray, force_sd_N: float) -> float:
+        """Return the drop of χ² by forces of any sign with shifts (k, 2n) px per newton.
+
+        By linear theory, with all other unknowns fitted again: Rao's score test.
+        """
+        weighted = rows_px * self.inverse
+        cross = weighted @ self.slope.T
+        inner = weighted @ rows_px.T - cross @ self.joint_covariance @ cross.T
+        inner[np.diag_indices(len(inner))] += force_sd_N**-2.0
+        pull = weighted @ (shift_px - self.predicted_px)
+        return float(pull @ np.linalg.solve(inner, pull))
 
 
 def contact_signal_px(state: ContactState) -> float:
@@ -351,7 +372,8 @@ def fit_contacts(
         states=states,
         predicted_px=total,
         inverse=inverse,
-        covariance=covariance[:split, :split],
+        slope=slope,
+        joint_covariance=covariance,
         cost=square + float(off @ (weight @ off)),
         residual_cost=square,
         reduced_chi2=noise.alike**2 * square / max(int(seen.found.sum()) - split, 1),
