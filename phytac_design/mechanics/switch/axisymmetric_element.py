@@ -7,6 +7,7 @@ axisymmetric state share geometry and material with those of n = 0.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -135,18 +136,26 @@ class ElementResponse:
         First Piola–Kirchhoff stress rr, rz, zr, zz, θθ, MPa.
     stiffness : (E, 9, 5, 5) float
         Its slope by those displacement gradients at constant pressure.
-    stiffness_shear : (E, 9, 4, 4) float
-        The same for rθ, θr, zθ, θz.
     cofactor : (E, 9, 5) float
         ∂J/∂F.
+    slopes : tuple
+        ∂W/∂λᵢ (E, 9, 3) and ∂²W/∂λᵢ∂λⱼ (E, 9, 3, 3), MPa, pressure included.
+    directions : tuple
+        Principal directions in the meridian plane after and before, (E, 9, 2, 2) by rows.
     """
 
     stretch: FloatArray
     energy_Nmm: float
     stress: FloatArray
     stiffness: FloatArray
-    stiffness_shear: FloatArray
     cofactor: FloatArray
+    slopes: tuple[FloatArray, FloatArray]
+    directions: tuple[FloatArray, FloatArray]
+
+    @cached_property
+    def stiffness_shear(self) -> FloatArray:
+        """Stiffness (E, 9, 4, 4) of rθ, θr, zθ, θz: only waves around the axis need it."""
+        return _out_of_plane(self.stretch, *self.slopes, *self.directions)
 
 
 def _principal(gradient: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -196,8 +205,9 @@ def respond(shape: Geometry, material: Material, gradient: FloatArray) -> Elemen
         energy_Nmm=stored,
         stress=stress,
         stiffness=stiffness,
-        stiffness_shear=_out_of_plane(stretch, first, second, n, N),
         cofactor=cof,
+        slopes=(first, second),
+        directions=(n, N),
     )
 
 

@@ -104,6 +104,7 @@ def press_bowl(
     refine: int = 1,
     steps: int = 24,
     end_mm: float | None = None,
+    to_limit: bool = False,
 ) -> ForceStrokeCurve:
     """Press a bowl in as far as it is deep, or as far as its path can be followed.
 
@@ -121,6 +122,8 @@ def press_bowl(
         Steps to the end of the way; the path shortens them where it bends.
     end_mm : float, optional
         Way of the pad; the depth if not given.
+    to_limit : bool
+        End just behind the limit load.
     """
     body = bowl_model(bowl, material, hole_diameter_mm=hole_diameter_mm, refine=refine)
     control = switch_path.PathControl(
@@ -128,7 +131,7 @@ def press_bowl(
     )
     complete = True
     try:
-        points = switch_path.trace(body.model, body.load, control)
+        points = switch_path.trace(body.model, body.load, control, to_limit=to_limit)
     except switch_path.PathError as error:
         points, complete = error.points, False
     if len(points) < 2:

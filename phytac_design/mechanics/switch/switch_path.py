@@ -5,7 +5,7 @@ and is halved where it does not converge, or deviates from the tangents at both 
 nearby branch is not taken for the path.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -209,7 +209,14 @@ class PathControl:
         return found, path_deviation(found.unknowns - here.unknowns, before, after)
 
 
-def trace(model: AxiModel, load: FloatArray, control: PathControl) -> list[PathPoint]:
+def falls(points: Sequence[PathPoint]) -> bool:
+    """Whether the load falls along a path at its last point."""
+    return float((points[-1].unknowns - points[-2].unknowns) @ points[-1].drive) < 0.0
+
+
+def trace(
+    model: AxiModel, load: FloatArray, control: PathControl, *, to_limit: bool = False
+) -> list[PathPoint]:
     """Follow a path from rest until the controlled unknown reaches its end.
 
     Parameters
@@ -220,6 +227,8 @@ def trace(model: AxiModel, load: FloatArray, control: PathControl) -> list[PathP
         Dead force on the unknowns at λ = 1, N.
     control : PathControl
         How far, and in which steps.
+    to_limit : bool
+        End at the first point behind the first maximum of the load, if that comes before.
 
     Raises
     ------
@@ -239,6 +248,8 @@ def trace(model: AxiModel, load: FloatArray, control: PathControl) -> list[PathP
             step = 0.5 * step
         else:
             points.append(found)
+            if to_limit and falls(points):
+                break
             limit = control.longest(points)
             growth = float(np.clip(np.sqrt(0.1 / max(deviation, 1e-9)), 0.5, 2.0))
             step = min(step * growth, limit)

@@ -23,6 +23,7 @@ def limit_load(
         refine=refine,
         steps=10,
         end_mm=0.62 * bowl.depth_mm,  # bowls reach their limit load before
+        to_limit=True,
     )
     snap = snap_of(curve)
     return None if snap is None else snap.limit_N
