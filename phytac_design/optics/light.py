@@ -14,8 +14,10 @@ sine of the angle to it, so that from z_0 to z_1 a point at distance r from it, 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera
+from phytac_design.core.kernels import kernel
 from phytac_design.optics.paint import BAR, FIXTURE, paints_of, resin_of, to_linear
 from phytac_design.optics.render_scene import BAR as BAR_CODE
 from phytac_design.optics.render_scene import (
@@ -29,6 +31,7 @@ from phytac_shapes.arrays import FloatArray
 
 EVEN, FROM_CAMERA, FROM_AXIS = 0.4, 0.35, 0.25
 """Shares of the light: from everywhere, from the camera's side, from the bar."""
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +59,8 @@ class Strip:
 
     def at(self, points_mm: FloatArray) -> FloatArray:
         """Light (n,) at points (n, 3) that face the strip, over that at a median marker."""
-        distance = np.maximum(np.linalg.norm(points_mm[:, :2], axis=1), 1e-6)
+        x, y = points_mm[:, :2].T
+        distance = np.maximum(np.sqrt(x * x + y * y), 1e-6)
         total = np.zeros(len(points_mm))
         for end, sign in ((self.far_mm, 1.0), (self.near_mm, -1.0)):
             t = (end - points_mm[:, 2]) / distance
@@ -103,20 +107,43 @@ def triangle_light(
         See :func:`albedo`.
     """
     fall_off_max = 4.0  # maximum light of a part near the bar, relative to that of a median marker
-    corners = scene.vertices[scene.triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    centre = corners.mean(axis=1)
-    back = camera.position_mm - centre
-    inward = -centre * np.array([1.0, 1.0, 0.0])
-    bar = FROM_AXIS * _cosine(normal, inward)
+    fall_off = np.ones(len(scene.triangles))
     if strip is not None:
-        bar *= np.minimum(strip.at(centre), fall_off_max)
-    shade = EVEN + FROM_CAMERA * _cosine(normal, back) + bar
+        a, b, c = (scene.vertices[corner] for corner in scene.triangles.T)
+        centre = (a + b + c) / 3.0
+        fall_off = np.minimum(strip.at(centre), fall_off_max)
+    shade = np.empty(len(scene.triangles))
+    _shades(scene.vertices, scene.triangles, camera.position_mm, fall_off, shade)
     shade[scene.part == BAR_CODE] = 1.0
     return albedo(scene, paint) * shade[:, None]
 
 
-def _cosine(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Absolute cosine between vectors (n, 3); 0 where one of them is zero."""
-    size = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-    return np.asarray(np.abs(np.sum(a * b, axis=1)) / np.maximum(size, 1e-30))
+@kernel
+def _shades(
+    vertices: FloatArray,
+    triangles: NDArray[np.int32],
+    position_mm: FloatArray,
+    fall_off: FloatArray,
+    shade: FloatArray,
+) -> None:
+    """Write the light (T,) on each triangle; ``fall_off`` (T,) multiplies the bar's part."""
+    px, py, pz = position_mm
+    for t in range(len(triangles)):
+        a, b, c = triangles[t]
+        ax, ay, az = vertices[a]
+        bx, by, bz = vertices[b]
+        cx, cy, cz = vertices[c]
+        ux, uy, uz = bx - ax, by - ay, bz - az
+        vx, vy, vz = cx - ax, cy - ay, cz - az
+        normal = (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
+        x, y, z = (ax + bx + cx) / 3.0, (ay + by + cy) / 3.0, (az + bz + cz) / 3.0
+        bar = FROM_AXIS * _cosine(normal, (-x, -y, 0.0)) * fall_off[t]
+        shade[t] = EVEN + FROM_CAMERA * _cosine(normal, (px - x, py - y, pz - z)) + bar
+
+
+@kernel
+def _cosine(a: Vector, b: Vector) -> float:
+    """Absolute cosine between two vectors; 0 where one of them is zero."""
+    size = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+    size *= np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2])
+    return abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / max(size, 1e-30)
