@@ -7,7 +7,7 @@ import pytest
 
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
-from phytac_design.mechanics.large.cubic_stiffness import cubic_stiffness
+from phytac_design.mechanics.large.cubic_stiffness import _copies, _of, cubic_stiffness
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.large.reference_configuration import ReferenceShell
 from phytac_design.mechanics.large.rotations import exponential
@@ -93,6 +93,13 @@ def test_a_shift_of_an_element_as_a_whole_changes_nothing() -> None:
         assert np.abs(left).max() < 1e-4 * np.abs(third).max()
 
 
+def test_copies_of_an_element_are_turned_not_computed() -> None:
+    own = model()
+    assert len(_copies(own)[0]) < len(own.quads) / 8
+    each = _of(Corotational(own, apart=np.arange(len(own.quads)))).astype(float)
+    np.testing.assert_allclose(whole(), each, atol=3e-6 * np.abs(each).max())
+
+
 def test_chunks_are_all_the_elements_in_their_order() -> None:
     own = model()
     slices = [some for some, _ in cubic_stiffness(own, at_once=70)]
@@ -108,7 +115,7 @@ def test_elements_apart_add_up_to_the_shell() -> None:
     parts = motion[rows].reshape(-1, 6)
     state = Configuration(displacement_mm=parts[:, :3].copy(), quaternion=exponential(parts[:, 3:]))
     total = np.zeros(own.fixed.size)
-    apart = Corotational(own, apart=slice(None))
+    apart = Corotational(own, apart=np.arange(len(own.quads)))
     assert apart.size == rows.size
     np.add.at(total, rows.ravel(), apart.internal(state))
     total[own.fixed.ravel()] = 0.0

@@ -24,7 +24,7 @@ from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.element_forces import element_forces
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.shell.sparse_assembly import Pattern, assemble, make_pattern
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
 
@@ -89,18 +89,22 @@ class Corotational:
     ----------
     model : ShellModel
         The shell: its mesh, section and supports.
-    apart : slice, optional
-        Of these elements (e) alone, each with four nodes of its own: 4e nodes in their order.
+    apart : (e,) int, optional
+        Of these elements alone, each with four nodes of its own: 4e nodes in their order.
 
     Attributes
     ----------
+    arms : (e, 4, 3) float
+        Corners of the elements about their middle, mm.
+    stiffness : (e, 24, 24) float
+        Linear stiffness, N, mm and rad.
     extent_mm : (e,) float
         Mean distance of the elements' corners from their middle.
     """
 
-    def __init__(self, model: ShellModel, *, apart: slice | None = None) -> None:
+    def __init__(self, model: ShellModel, *, apart: IntArray | None = None) -> None:
         self.model = model
-        some = slice(None) if apart is None else apart
+        some: slice | IntArray = slice(None) if apart is None else apart
         self.quads, self.size = model.quads[some], 6 * len(model.nodes_mm)
         corner = model.nodes_mm[self.quads]
         modulus, thickness = (
@@ -109,11 +113,11 @@ class Corotational:
         )
         if apart is not None:
             self.quads, self.size = np.arange(corner.size // 3).reshape(-1, 4), 2 * corner.size
-        self._arms = np.ascontiguousarray(corner - corner.mean(axis=1, keepdims=True))
-        self._stiffness = np.ascontiguousarray(
+        self.arms = np.ascontiguousarray(corner - corner.mean(axis=1, keepdims=True))
+        self.stiffness = np.ascontiguousarray(
             model.elements.pick(some).combine(modulus_MPa=modulus, thickness_mm=thickness)
         )
-        self.extent_mm = np.linalg.norm(self._arms, axis=2).mean(axis=1)
+        self.extent_mm = np.linalg.norm(self.arms, axis=2).mean(axis=1)
 
     @cached_property
     def _pattern(self) -> Pattern:
@@ -138,8 +142,8 @@ class Corotational:
         motion, forces = np.empty((count, 24)), np.empty((count, 24))
         loose = element_forces(
             np.ascontiguousarray(self.quads, dtype=np.int64),
-            self._arms,
-            self._stiffness,
+            self.arms,
+            self.stiffness,
             np.ascontiguousarray(state.displacement_mm),
             np.ascontiguousarray(state.quaternion),
             (nodal, frame, ubar, motion, forces),
@@ -152,7 +156,7 @@ class Corotational:
             )
         return LocalElements(
             frame=frame,
-            corners=self._arms + ubar,
+            corners=self.arms + ubar,
             motion=motion.reshape(-1, 4, 6),
             forces=forces.reshape(-1, 4, 6),
             nodal=nodal.ravel(),
@@ -164,7 +168,7 @@ class Corotational:
 
     def _inertia(self, corners: FloatArray) -> FloatArray:
         """A (E, 3, 3) with A ω = Σ P_a × (ω × p_a)."""
-        product = np.swapaxes(self._arms, 1, 2) @ corners  # Σ P pᵀ
+        product = np.swapaxes(self.arms, 1, 2) @ corners  # Σ P pᵀ
         trace = np.trace(product, axis1=1, axis2=2)[:, None, None]
         # P × (ω × p) = ω (P·p) − p (P·ω)
         return np.asarray(trace * np.eye(3) - np.swapaxes(product, 1, 2))
@@ -177,7 +181,7 @@ class Corotational:
         n = forces[:, :, :3]
         m = (np.swapaxes(H, 2, 3) @ forces[:, :, 3:, None])[..., 0]
         turn = np.linalg.inv(self._inertia(local.corners))
-        G = (turn[:, None] @ rot.spin(self._arms)).transpose(0, 2, 1, 3)
+        G = (turn[:, None] @ rot.spin(self.arms)).transpose(0, 2, 1, 3)
         torque = (rot.cross(local.corners, n) + m).sum(axis=1)
         balanced = n - np.einsum("eiak,ei->eak", G, torque)
         y = np.einsum("eji,ej->ei", turn, torque)
@@ -214,13 +218,13 @@ class Corotational:
         bend = follow.copy().reshape(count, 4, 2, 3, 24)
         bend[:, :, 1] = H @ bend[:, :, 1]
         bend = bend.reshape(count, 24, 24)
-        K = np.swapaxes(bend, 1, 2) @ (self._stiffness @ bend)
+        K = np.swapaxes(bend, 1, 2) @ (self.stiffness @ bend)
         # Moment correction Qᵀ L Q, L = ∂(Hᵀm)/∂θ H.
         L = rot.moment_change(theta, moment) @ H
         psi = follow.reshape(count, 4, 2, 3, 24)[:, :, 1]
         K += np.swapaxes(psi.reshape(count, 12, 24), 1, 2) @ (L @ psi).reshape(count, 12, 24)
         # Gᵀ Σ (f̄_a + P_a × y) × δū_a: the arms and G change.
-        lever = rot.spin(forces[:, :, :3] + rot.cross(self._arms, y[:, None]))
+        lever = rot.spin(forces[:, :, :3] + rot.cross(self.arms, y[:, None]))
         ubar = follow.reshape(count, 4, 2, 3, 24)[:, :, 0]
         swing = (lever @ ubar).sum(axis=1)
         blocks = K.reshape(count, 4, 2, 3, 24)
@@ -254,11 +258,11 @@ class Corotational:
         R = rot.matrix(local.frame)
         moves = step.reshape(-1, 2, 3)[self.quads].reshape(len(R), 8, 3) @ R
         moves = moves.reshape(len(R), 4, 6)
-        moment = rot.cross(self._arms, moves[:, :, :3]).sum(axis=1)
+        moment = rot.cross(self.arms, moves[:, :, :3]).sum(axis=1)
         spin = (turn @ moment[:, :, None])[:, None, :, 0]
         change = moves.copy()
         change[:, :, :3] -= rot.cross(np.broadcast_to(spin, local.corners.shape), local.corners)
         change[:, :, 3:] -= spin
         H = rot.spin_to_vector(local.motion[:, :, 3:])
         change[:, :, 3:] = (H @ change[:, :, 3:, None])[..., 0]
-        return local.forces + (self._stiffness @ change.reshape(-1, 24, 1)).reshape(change.shape)
+        return local.forces + (self.stiffness @ change.reshape(-1, 24, 1)).reshape(change.shape)

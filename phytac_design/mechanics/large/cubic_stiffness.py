@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray, IntArray
 
 DOFS = 24
 
@@ -29,9 +29,67 @@ def cubic_stiffness(
     DOFs of an element are motion (mm) and rotation vector (rad) of its corners in turn, along
     global axes.
     """
+    alone, like, turn = _copies(model)
+    few = _of(Corotational(model, apart=alone)) if len(alone) <= at_once else None
     for first in range(0, len(model.quads), at_once):
         some = slice(first, min(first + at_once, len(model.quads)))
-        yield some, _of(Corotational(model, apart=some))
+        if few is None:
+            yield some, _of(Corotational(model, apart=np.arange(some.start, some.stop)))
+        else:
+            yield some, _turned(few, like[some], turn[some])
+
+
+def _copies(model: ShellModel) -> tuple[IntArray, IntArray, FloatArray]:
+    """Elements that others are copies of, turned around the sensor's axis.
+
+    Returns
+    -------
+    alone : (g,) int
+        One element of each kind.
+    like : (E,) int
+        Which of these each element is a copy of.
+    turn : (E, 3, 3) float
+        Rotation from that one to the element.
+    """
+    digits = 9  # of lengths and stiffnesses over an element's own: copies differ by rounding
+    elastic = Corotational(model)
+    middle = model.nodes_mm[model.quads].mean(axis=1)
+    angle = np.arctan2(middle[:, 1], middle[:, 0])
+    own = _around_axis(-angle)
+    arms = (elastic.arms @ own.transpose(0, 2, 1)) / elastic.extent_mm[:, None, None]
+    blocks = elastic.stiffness.reshape(-1, 8, 3, 8, 3).transpose(0, 1, 3, 2, 4)
+    seen = own[:, None, None] @ blocks @ own.transpose(0, 2, 1)[:, None, None]
+    size = np.abs(seen).max(axis=(1, 2, 3, 4), keepdims=True)
+    kinds: dict[bytes, int] = {}
+    parts = [elastic.extent_mm[:, None], arms, seen / size, size]
+    looks = np.concatenate([part.reshape(len(angle), -1) for part in parts], axis=1)
+    looks[:, [0, -1]] = np.log(looks[:, [0, -1]])
+    rounded = np.round(looks, digits) + 0.0  # no negative zeros
+    like = np.array([kinds.setdefault(row.tobytes(), len(kinds)) for row in rounded])
+    alone = np.unique(like, return_index=True)[1]
+    return alone, like, _around_axis(angle - angle[alone][like])
+
+
+def _around_axis(angle: FloatArray) -> FloatArray:
+    """Rotations (e, 3, 3) about z."""
+    turn = np.zeros((len(angle), 3, 3))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
+    turn[:, 1, 0] = np.sin(angle)
+    turn[:, 0, 1] = -turn[:, 1, 0]
+    turn[:, 2, 2] = 1.0
+    return turn
+
+
+def _turned(third: NDArray[np.float32], like: IntArray, turn: FloatArray) -> NDArray[np.float32]:
+    """Third derivatives (e, 24, 24, 24) of turned copies."""
+    by = np.zeros((len(like), 8, 3, 8, 3), dtype=np.float32)
+    by[:, range(8), :, range(8)] = turn
+    by = by.reshape(-1, DOFS, DOFS)
+    out = third[like]
+    for _ in range(3):  # each index comes first once
+        out = (by @ out.reshape(-1, DOFS, DOFS * DOFS)).reshape(out.shape)
+        out = out.transpose(0, 2, 3, 1)
+    return np.ascontiguousarray(out)
 
 
 def _of(elastic: Corotational) -> NDArray[np.float32]:

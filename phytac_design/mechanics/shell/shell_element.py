@@ -55,7 +55,7 @@ class ElementStiffness:
     bending: FloatArray
     shear: FloatArray
 
-    def pick(self, elements: slice) -> "ElementStiffness":
+    def pick(self, elements: slice | IntArray) -> "ElementStiffness":
         """Those of some of the elements."""
         return ElementStiffness(
             membrane=self.membrane[elements],
