@@ -146,4 +146,4 @@ def _cosine(a: Vector, b: Vector) -> float:
     """Absolute cosine between two vectors; 0 where one of them is zero."""
     size = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
     size *= np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2])
-    return abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / max(size, 1e-30)
+    return float(abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / max(size, 1e-30))

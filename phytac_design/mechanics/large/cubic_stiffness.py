@@ -82,9 +82,9 @@ def _around_axis(angle: FloatArray) -> FloatArray:
 
 def _turned(third: NDArray[np.float32], like: IntArray, turn: FloatArray) -> NDArray[np.float32]:
     """Third derivatives (e, 24, 24, 24) of turned copies."""
-    by = np.zeros((len(like), 8, 3, 8, 3), dtype=np.float32)
-    by[:, range(8), :, range(8)] = turn
-    by = by.reshape(-1, DOFS, DOFS)
+    blocks = np.zeros((len(like), 8, 3, 8, 3), dtype=np.float32)
+    blocks[:, range(8), :, range(8)] = turn
+    by = blocks.reshape(-1, DOFS, DOFS)
     out = third[like]
     for _ in range(3):  # each index comes first once
         out = (by @ out.reshape(-1, DOFS, DOFS * DOFS)).reshape(out.shape)
