@@ -70,7 +70,7 @@ def gather(context: Context) -> dict[str, Any]:
         "cameras": views["cameras"],
         "lens": views["cameras"][0]["lens"],
         "shell": shell | step,
-        "switch": context.facts("switch"),
+        "switch": switch_facts(context),
         "fabrication": fabrication_facts({name: context.facts(name) for name in FABRICATION})
         | {"effort": effort_of(context.sensor).as_dict()},
         "mesh": context.facts("mesh"),
@@ -91,6 +91,12 @@ def gather(context: Context) -> dict[str, Any]:
         "provenance": provenance_of(context),
         "timing_s": timing | {"total": round(sum(timing.values()), 3)},
     }
+
+
+def switch_facts(context: Context) -> dict[str, Any]:
+    """Figures of the switches, with the red of their tips where there are some."""
+    facts = context.facts("switch")
+    return facts | ({"red": context.facts("views")["red"]} if facts["switches"] else {})
 
 
 def forced_past(context: Context) -> list[str]:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px
 from phytac_design.core.json_values import finite
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.documents.bill_of_materials import family_words
@@ -36,7 +35,7 @@ def run(context: Context, folder: Path) -> None:
         made = design_switches(context, folder)
     except DesignError as error:
         context.progress(f"switch: {error}")
-        write_facts(folder, {"refused": str(error), "switches": [], "red": {}, "parts": []})
+        write_facts(folder, {"refused": str(error), "switches": [], "parts": []})
         return
     switches = _set_of(context, made)
     parts = [
@@ -51,7 +50,7 @@ def run(context: Context, folder: Path) -> None:
         }
         for kind in switches.kinds
     ]
-    facts = {"refused": "", "switches": made, "red": red_of(context), "parts": parts}
+    facts = {"refused": "", "switches": made, "parts": parts}
     text = json.dumps(finite(facts), indent=1, ensure_ascii=False)
     write_text(folder, "switch/switches.json", text + "\n")
     write_facts(folder, facts)
@@ -104,29 +103,6 @@ def absence(context: Context) -> str:
     return str(context.facts("switch").get("absent", "")) or refusal(context)
 
 
-def red_of(context: Context) -> dict[str, Any]:
-    """Red pixels of the tips in the camera against the decoder's minimum, at the weakest switch.
-
-    The image uses the design's stroke. A bowl's own stroke is at least that; other families come
-    out as the force grows, and their thresholds are taken where their red is enough.
-    """
-    views = context.arrays("views")
-    rest, out = views["tip_red_rest_px"], views["tip_red_on_px"]
-    needed = RED_RATIO_MIN * rest + RED_AREA_MIN_px
-    worst = int(np.argmin(out - needed))
-    from_camera = context.markers.tip_mm - context.sensor.cameras[0].position_mm
-    far = int(np.argmax(np.linalg.norm(from_camera, axis=1)))
-    return {
-        "worst_marker": context.markers.name(worst),
-        "worst_on_px": float(out[worst]),
-        "worst_needed_px": float(needed[worst]),
-        "farthest_marker": context.markers.name(far),
-        "farthest_on_px": float(out[far]),
-        "farthest_needed_px": float(needed[far]),
-        "unreadable": int((out <= needed).sum()),
-    }
-
-
 def switches_of(context: Context) -> SwitchSet:
     """Switches of a design whose switch stage has run; an empty set if it has none.
 
@@ -165,8 +141,6 @@ SWITCH = Stage(
         *("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules"),
         "trips",
     ),
-    depends_on=("views",),
-    arrays={"views": ("tip_red_rest_px", "tip_red_on_px")},
     gate=refusal,
     run=run,
 )

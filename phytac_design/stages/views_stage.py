@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from phytac_decoder.vision.switch_detection import TipModel
+from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px, TipModel
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, export_path, write_arrays, write_facts
 from phytac_design.layout.cameras import stand_off_mm, tolerance_mm
@@ -79,6 +79,28 @@ def summary_of(
     return summary
 
 
+def red_of(context: Context, arrays: dict[str, Any]) -> dict[str, Any]:
+    """Red pixels of the tips in the camera against the decoder's minimum, at the weakest switch.
+
+    The image uses the design's stroke. A bowl's own stroke is at least that; other families come
+    out as the force grows, and their thresholds are taken where their red is enough.
+    """
+    rest, out = arrays["tip_red_rest_px"], arrays["tip_red_on_px"]
+    needed = RED_RATIO_MIN * rest + RED_AREA_MIN_px
+    worst = int(np.argmin(out - needed))
+    from_camera = context.markers.tip_mm - context.sensor.cameras[0].position_mm
+    far = int(np.argmax(np.linalg.norm(from_camera, axis=1)))
+    return {
+        "worst_marker": context.markers.name(worst),
+        "worst_on_px": float(out[worst]),
+        "worst_needed_px": float(needed[worst]),
+        "farthest_marker": context.markers.name(far),
+        "farthest_on_px": float(out[far]),
+        "farthest_needed_px": float(needed[far]),
+        "unreadable": int((out <= needed).sum()),
+    }
+
+
 def run_views(context: Context, folder: Path) -> None:
     """Visibility, density, expectations of the marker detector, and pictures."""
     design, surface, markers = context.design, context.surface, context.markers
@@ -129,6 +151,7 @@ def run_views(context: Context, folder: Path) -> None:
             "visibility": summary_of(
                 best, arrays["tip_red_rest_px"], arrays["tip_red_on_px"], switches=switches
             ),
+            "red": red_of(context, arrays) if switches else {},
             "density": asdict(density_of(surface, markers)),
             "stand_off_mm": stand_off_mm(design, surface, shots[0].camera),
             "cameras": [
