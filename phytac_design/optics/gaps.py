@@ -23,17 +23,37 @@ def marker_gaps(marker: NDArray[np.int32], colour: IntArray) -> tuple[FloatArray
         Distance in px between the nearest pixel centres: 1 means touching, so ``gap - 1`` free
         pixels lie between. inf if there is no such marker or this one is not visible.
     """
-    y, x = np.nonzero(marker >= 0)
-    owner = marker[y, x]
-    inner = np.ones(len(owner), dtype=np.bool_)
-    for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        row, column = y + down, x + right
-        inside = (row >= 0) & (row < marker.shape[0]) & (column >= 0) & (column < marker.shape[1])
-        inner &= inside & (marker[np.where(inside, row, y), np.where(inside, column, x)] == owner)
-    y, x, owner = y[~inner], x[~inner], owner[~inner]
-    order = np.argsort(owner, kind="stable")
-    starts = np.searchsorted(owner[order], np.arange(len(colour) + 1))
-    return outline_gaps(np.column_stack([x, y])[order], starts, colour)
+    pixels, starts = _outlines(marker, len(colour))
+    return outline_gaps(pixels, starts, colour)
+
+
+@kernel
+def _on_outline(marker: NDArray[np.int32], y: int, x: int) -> bool:
+    """Whether a pixel has a neighbour that shows another marker, or lies on the border."""
+    own, (rows, columns) = marker[y, x], marker.shape
+    if y == 0 or x == 0 or y == rows - 1 or x == columns - 1:
+        return True
+    rest = marker[y - 1, x] == own and marker[y + 1, x] == own
+    return not (rest and marker[y, x - 1] == own and marker[y, x + 1] == own)
+
+
+@kernel
+def _outlines(marker: NDArray[np.int32], count: int) -> tuple[IntArray, IntArray]:
+    """Pixels (m, 2) on the outlines, and where each marker's start, (n + 1,)."""
+    starts = np.zeros(count + 1, dtype=np.int64)
+    for y in range(marker.shape[0]):
+        for x in range(marker.shape[1]):
+            if 0 <= marker[y, x] < count and _on_outline(marker, y, x):
+                starts[marker[y, x] + 1] += 1
+    starts = np.cumsum(starts)
+    pixels, place = np.empty((starts[-1], 2), dtype=np.int64), starts.copy()
+    for y in range(marker.shape[0]):
+        for x in range(marker.shape[1]):
+            if 0 <= marker[y, x] < count and _on_outline(marker, y, x):
+                at = place[marker[y, x]]
+                pixels[at, 0], pixels[at, 1] = x, y
+                place[marker[y, x]] += 1
+    return pixels, starts
 
 
 def outline_gaps(

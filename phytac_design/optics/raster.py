@@ -108,10 +108,21 @@ def _finish(
 
 def owner_sums(owner: NDArray[np.int32], count: int) -> FloatArray:
     """Pixels of each of ``count`` markers in an owner image, and sums of their x and y, (n, 3)."""
-    y, x = np.nonzero(owner >= 0)
-    ids = owner[y, x]
-    each = [np.bincount(ids, weights=w, minlength=count) for w in (np.ones(len(x)), x, y)]
-    return np.stack(each, axis=1)
+    sums = np.zeros((count, 3))
+    _sum_owners(owner, sums)
+    return sums
+
+
+@kernel
+def _sum_owners(owner: NDArray[np.int32], sums: FloatArray) -> None:
+    """Add each marker's pixels, and their x and y, to ``sums`` (n, 3)."""
+    for y in range(owner.shape[0]):
+        for x in range(owner.shape[1]):
+            k = owner[y, x]
+            if 0 <= k < len(sums):
+                sums[k, 0] += 1.0
+                sums[k, 1] += x
+                sums[k, 2] += y
 
 
 def points_seen(

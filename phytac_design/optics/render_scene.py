@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from phytac_design.core.kernels import kernel
 from phytac_design.design.fixture_table import AnyFixture, BoxFixture, CylinderFixture
 from phytac_design.design.paints_table import NOMINAL_PAINTS, PaintsSection
 from phytac_design.design.spec import Design
@@ -116,16 +117,32 @@ class RenderScene:
         pivots : (n, 3) float
             Usually ``markers.mid_mm``, the mesh nodes.
         """
-        own = self.vertex_owner >= 0
-        owner = self.vertex_owner[own]
-        turns = Rotation.from_rotvec(rotation).as_matrix()
-        pivot = np.asarray(pivots, dtype=np.float64)[owner]
-        arm = self.vertices[own] - pivot
+        turns = Rotation.from_rotvec(rotation).as_matrix() - np.eye(3)
+        translation, pivots = (np.asarray(each, dtype=np.float64) for each in (translation, pivots))
         vertices = self.vertices.copy()
-        # Adding the change, not the sum of all parts, keeps a zero motion exact to the last bit.
-        change = np.einsum("nij,nj->ni", turns[owner] - np.eye(3), arm)
-        vertices[own] += change + np.asarray(translation, dtype=np.float64)[owner]
+        _move(vertices, self.vertex_owner, turns, translation, pivots)
         return replace(self, vertices=vertices)
+
+
+@kernel
+def _move(
+    vertices: FloatArray,
+    owner: NDArray[np.int32],
+    turns: FloatArray,
+    translation: FloatArray,
+    pivots: FloatArray,
+) -> None:
+    """Move the vertices of receptors; ``turns`` (n, 3, 3) are their rotations less 1."""
+    for v in range(len(vertices)):
+        k = owner[v]
+        if k < 0:
+            continue
+        x, y, z = vertices[v] - pivots[k]
+        for i in range(3):
+            # Adding the change, not the sum of all parts, keeps a zero motion exact; x and z first
+            # gives the very bits that numpy.einsum gave.
+            change = turns[k, i, 0] * x + turns[k, i, 2] * z + turns[k, i, 1] * y
+            vertices[v, i] += change + translation[k, i]
 
 
 def paint_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -144,8 +161,17 @@ def spot_owner(part: NDArray[np.int32], count: int) -> NDArray[np.int32]:
 
 
 def _owner(part: NDArray[np.int32], kind: int) -> NDArray[np.int32]:
-    mine = (part >= FIRST_MARKER) & (part & 1 == kind)
-    return np.where(mine, (part - FIRST_MARKER) >> 1, -1).astype(np.int32)
+    owner = np.empty(part.shape, dtype=np.int32)
+    _write_owner(part.ravel(), kind, owner.ravel())
+    return owner
+
+
+@kernel
+def _write_owner(part: NDArray[np.int32], kind: int, owner: NDArray[np.int32]) -> None:
+    """Write the markers of part codes (m,) that are paint (0) or red (1)."""
+    for k in range(len(part)):
+        mine = part[k] >= FIRST_MARKER and part[k] & 1 == kind
+        owner[k] = (part[k] - FIRST_MARKER) >> 1 if mine else -1
 
 
 def sides_of(radius_mm: float, tolerance_mm: FloatArray) -> IntArray:
