@@ -106,19 +106,19 @@ def single_contact_shifts(
     top_N : float
         Largest tabulated force.
     """
-    f = float(state.x[0])
-    rows = _rows(state, state.tables[:, :orders])
-    powers, change = order_factors(rows[0], f, top_N)
-    slope = np.empty((UNKNOWNS, rows.shape[2]))
-    slope[:SHEAR_START] = (f * powers).astype(np.float32) @ rows
+    f, ratio = float(state.x[0]), state.x[SHEAR_START:].astype(np.float32)
+    terms, tables = _terms(state), state.tables[:, :orders]
+    rows = (terms[0] @ tables.reshape(10, -1)).reshape(orders, -1)
+    shear = (terms[0] @ state.shear.reshape(10, -1)).reshape(2, -1)
+    powers, change = order_factors(rows, f, top_N)
+    slope = np.empty((UNKNOWNS, rows.shape[1]))
+    # Of all orders at this force, and of the force along the surface.
+    whole = np.einsum("k,ukn->un", (f * powers).astype(np.float32), tables)
+    whole += np.einsum("k,ukn->un", np.float32(f) * ratio, state.shear)
+    slope[:SHEAR_START] = terms @ whole
     total = slope[0].copy()
-    slope[0] = ((1.0 + change) * powers).astype(np.float32) @ rows[0]
-    shear = _rows(state, state.shear)
-    slope[SHEAR_START:] = f * shear[0]
-    sheared = state.x[SHEAR_START:].astype(np.float32) @ shear
-    total += f * sheared[0]
-    slope[0] += sheared[0]
-    slope[1:SHEAR_START] += f * sheared[1:]
+    slope[0] = ((1.0 + change) * powers).astype(np.float32) @ rows + ratio @ shear
+    slope[SHEAR_START:] = f * shear
     return total, slope
 
 
