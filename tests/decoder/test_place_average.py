@@ -9,7 +9,9 @@ import pytest
 from phytac_decoder.estimation import contact_fit, place_average
 from phytac_decoder.estimation.contact_estimates import LocatedContact
 from phytac_decoder.estimation.contact_fit import ShiftObservation
+from phytac_decoder.estimation.contact_shifts import centre_of
 from phytac_decoder.estimation.locator import ContactLocator, SwitchForces
+from phytac_decoder.estimation.place_average import PlaceAverage
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.discs import disc_overlap_share
 from tests.decoder.flat_sensor import (
@@ -77,7 +79,9 @@ def test_forces_and_places_beside_a_rim(averaged: bool) -> None:
 
 def test_the_average_is_that_of_a_fine_grid(monkeypatch: pytest.MonkeyPatch) -> None:
     """Against the posterior by brute force over force and place; extent and shear are sure."""
-    monkeypatch.setattr(ContactLocator, "_log_switches", lambda *_, **__: 0.0)
+    monkeypatch.setattr(
+        ContactLocator, "_log_switches", lambda _, states, **__: np.zeros(len(states))
+    )
     locator = with_rim()
     sure = replace(locator.prior, moments_sd_mm2=(1e-3, 1e-3, 1e-3), shear_sd=1e-3)
     locator = replace(locator, prior=sure, noise=replace(locator.noise, share=0.0))
@@ -130,31 +134,53 @@ def test_a_contact_out_of_reach_of_its_switch_is_nearer_to_it(
     assert off[0] < off[1] - 1.0
 
 
-def test_contacts_far_away_stay_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Places of a contact are averaged with its neighbours, to the same result."""
-    rng = np.random.default_rng(3)
-    points = [np.array([6.0, y, 0.0]) for y in (9.0, 21.0, 51.0)]
-    forces = (12.0, 9.0, 15.0)
-    motion = rng.normal(0.0, NOISE_PX, 2 * len(MARKERS))
-    for at, force in zip(points, forces, strict=True):
-        motion += force * softness(at[0]) * per_newton(at)
-    fitted: list[int] = []
-
-    def counted(places: object, states: list[object], *rest: object, **more: object) -> object:
-        fitted.append(len(states))
-        return contact_fit.fit_contacts(places, states, *rest, **more)  # type: ignore[arg-type] # as given
-
-    monkeypatch.setattr(place_average, "fit_contacts", counted)
-    koi = np.array([nearest(at) for at in points])
-    few = with_rim().find(motion.reshape(-1, 2), koi).contacts
-    assert set(fitted) == {1, 2}
-    settings = replace(place_average.SETTINGS, coupling_min=0.0)
+@pytest.mark.parametrize(("coupling_min", "share", "cost"), [(0.1, 0.15, 0.1), (0.99, 0.25, 0.5)])
+def test_neighbours_follow_a_contact_along_its_places(
+    monkeypatch: pytest.MonkeyPatch, coupling_min: float, share: float, cost: float
+) -> None:
+    """Nodes with neighbours fitted, or by linear theory, against fits of all contacts."""
+    settings = replace(place_average.SETTINGS, coupling_min=coupling_min)
     monkeypatch.setattr(place_average, "SETTINGS", settings)
-    whole = with_rim().find(motion.reshape(-1, 2), koi).contacts
-    assert fitted[-1] == 3
-    for one, other in zip(few, whole, strict=True):
-        assert one.raw_N == pytest.approx(other.raw_N, abs=0.05 * other.raw_sd_N)
-        assert one.raw_sd_N == pytest.approx(other.raw_sd_N, rel=0.02)
+    rng, locator = np.random.default_rng(3), with_rim()
+    points = [np.array([6.0, y, 0.0]) for y in (12.0, 21.0, 51.0)]
+    motion = rng.normal(0.0, NOISE_PX, 2 * len(MARKERS))
+    for at, force in zip(points, (12.0, 9.0, 15.0), strict=True):
+        motion += force * softness(at[0]) * per_newton(at)
+    koi = np.array([nearest(at) for at in points])
+    state = locator.find(motion.reshape(-1, 2), koi).state
+    assert state is not None
+    seen = ShiftObservation(shift_px=motion, found=np.ones(len(motion), dtype=np.bool_), koi=koi)
+    average = PlaceAverage(
+        places=locator.places,
+        prior=locator.prior,
+        noise=locator.noise,
+        seen=seen,
+        fit=state.fit,
+        scale=1.0,
+        log_switches=lambda states: np.zeros(len(states)),
+    )
+    nodes = average._nodes_along(average._line(0, np.array([1.0, 0.0])), 1.0)
+    least = min(node.cost for node in nodes)
+    likely = [node for node in nodes if node.cost - least < 5.0]
+    assert len(likely) > 4
+    for node in likely:
+        centre = centre_of(locator.places, node.state)
+        held = replace(node.state, start_mm=centre, place_sd_mm=1e-4)
+        fit = contact_fit.fit_contacts(
+            locator.places,
+            [each.copy() for each in (held, *state.fit.states[1:])],
+            seen,
+            prior=locator.prior,
+            noise=locator.noise,
+        )
+        own = replace(fit.states[0], start_mm=node.state.start_mm)
+        states = [replace(own, place_sd_mm=node.state.place_sd_mm), *fit.states[1:]]
+        off = contact_fit.prior_residual(locator.places, states, locator.prior)
+        whole = fit.residual_cost + contact_fit.prior_cost(states, off, locator.prior).sum()
+        sd_N = np.sqrt(fit.covariance[0, 0])
+        assert node.state.x[0] == pytest.approx(own.x[0], abs=share * sd_N)
+        assert np.sqrt(node.covariance[0, 0]) == pytest.approx(sd_N, rel=0.08)
+        assert node.cost == pytest.approx(whole, abs=cost)
 
 
 def test_nothing_is_averaged_in_a_frame_that_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

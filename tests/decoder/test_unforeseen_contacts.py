@@ -74,7 +74,7 @@ def test_only_contacts_on_switches_leave_their_prior_and_not_far() -> None:
     usual = contact_fit._prior_sd([switched], prior).ravel() ** -2.0
     far = np.zeros(8)
     far[[1, 3]] = 100.0
-    left = contact_fit._prior_weight([switched, alone], np.tile(far, 2), prior)
+    left = contact_fit.prior_weight([switched, alone], np.tile(far, 2), prior)
     np.testing.assert_array_equal(left[8:], usual)
     yields = np.r_[1.0, np.full(5, 1.0 + contact_fit.SETTINGS.prior_growth_max), 1.0, 1.0]
     np.testing.assert_allclose(left[:8], usual / yields)

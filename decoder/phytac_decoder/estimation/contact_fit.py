@@ -50,8 +50,6 @@ class FitSettings:
     """Factor on predicted noise: errors of neighbouring markers are alike, so that together they
     are worth less. Forces at known places in rendered frames of ``handle`` and ``hemisphere``
     scatter by 1.1 to 1.6 times what independent noise gives."""
-    held_mm: float = 1e-4
-    """Standard deviation of a centre that is held."""
     grid_px: float = 0.15
     """Shift of a marker at which half of the variance by the grid of pixels has come: 0.13 px in
     rendered frames of ``hemisphere``, 0.2 px in those of ``handle``, whose pixels differ
@@ -218,8 +216,8 @@ class ContactFit:
     ----------
     states : list of ContactState
         The contacts.
-    predicted_px : (2n,) float
-        Their shifts.
+    pressed_px, predicted_px : (2n,) float
+        Their shifts, without and with motion of the cameras.
     inverse : (2n,) float
         Weights: the inverse variance of each shift, reduced for outliers, 0 where a marker was not
         found.
@@ -239,6 +237,7 @@ class ContactFit:
     """
 
     states: list[ContactState]
+    pressed_px: FloatArray
     predicted_px: FloatArray
     inverse: FloatArray
     slope: FloatArray
@@ -288,13 +287,14 @@ def initial_state(
     """Return a contact at a point (3,) with a force, to start a fit from."""
     place = int(places.nearest(point_mm[None])[0])
     xy = places.tangent_coordinates([place], point_mm[None])[0]
+    tables, shear = places.cubics(place)
     return ContactState(
         place=place,
         x=np.array([force_N, *xy, *prior.moments_mm2, 0.0, 0.0]),
         start_mm=point_mm,
         place_sd_mm=place_sd_mm or prior.place_mm,
-        tables=places.cubic(place),
-        shear=places.shear_cubic(place),
+        tables=tables,
+        shear=shear,
         markers=np.zeros(0, dtype=np.int64) if markers is None else markers,
     )
 
@@ -306,11 +306,9 @@ def fit_contacts(
     *,
     prior: ContactPrior,
     noise: ShiftNoise,
-    motion: FloatArray | None = None,
+    before: ContactFit | None = None,
     unweighted: int = SETTINGS.unweighted_iterations,
     iterations: int = SETTINGS.iterations_max,
-    held: tuple[int, FloatArray] | None = None,
-    besides_px: FloatArray | float = 0.0,
 ) -> ContactFit:
     """Move contacts, of which there may be none, to where they are most likely; changes ``states``.
 
@@ -319,38 +317,33 @@ def fit_contacts(
 
     Parameters
     ----------
-    motion : (q,) float, optional
-        First estimate of the motion of the cameras, which is estimated with the contacts.
-    held : (int, (3,) float), optional
-        Contact whose centre stays where it is along a direction.
-    besides_px : (2n,) float, optional
-        What further contacts do, which stay as they are.
+    before : ContactFit, optional
+        Fit of the same contacts to other shifts, where this one starts.
     """
     camera_motion = seen.camera_motion
-    b = np.zeros(camera_motion.count if camera_motion else 0) if motion is None else motion.copy()
+    b = before.motion.copy() if before else np.zeros(camera_motion.count if camera_motion else 0)
     split = UNKNOWNS * len(states)
     weight = np.zeros((split + len(b), split + len(b)))
     if camera_motion:
         weight[split:, split:] = camera_motion.prior
-    switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
     cache = InteractionCache(pairs=places.pairs) if places.pairs else None
     change, robust = np.inf, False
     for number in range(iterations + 1):
-        parts = predicted_shifts(places, states, cache)
-        pressed = np.sum([part[0] for part in parts], axis=0) + np.zeros(len(seen.shift_px))
-        pressed += besides_px
-        slopes = [part[1] for part in parts]
-        total = pressed
-        if camera_motion:
-            total = pressed + camera_motion.shift_px(b)
-            slopes.append(camera_motion.first)
-        slope = np.concatenate(slopes) if slopes else np.zeros((0, len(total)))
-        variance = noise.variance(total, pressed, seen.noise_scale)
-        variance[switched] += noise.switched_px**2
-        inverse = np.where(seen.found, 1.0 / variance, 0.0)
+        if before and number == 0:
+            pressed, total, slope = before.pressed_px, before.predicted_px, before.slope
+        else:
+            parts = predicted_shifts(places, states, cache)
+            pressed = np.sum([part for part, _ in parts], axis=0) + np.zeros(len(seen.shift_px))
+            slopes = [each for _, each in parts]
+            total = pressed
+            if camera_motion:
+                total = pressed + camera_motion.shift_px(b)
+                slopes.append(camera_motion.first)
+            slope = np.concatenate(slopes) if slopes else np.zeros((0, len(total)))
+        inverse = inverse_variance(noise, seen, total, pressed)
         residual = seen.shift_px - total
         own = prior_residual(places, states, prior)
-        weight[range(split), range(split)] = _prior_weight(states, own, prior)
+        weight[range(split), range(split)] = prior_weight(states, own, prior)
         off = np.concatenate([own, b])
         square, settled = float(residual @ (inverse * residual)), False
         if robust or number >= unweighted or change < SETTINGS.step_tolerance:
@@ -359,17 +352,16 @@ def fit_contacts(
             settled = change < SETTINGS.step_tolerance and (robust or bool((share == 1.0).all()))
             robust = True
         hessian = (slope * inverse) @ slope.T + weight
-        if held:
-            hessian[:split, :split] += _hold(places, states, *held)
         # Ends where everything that is returned has been computed.
         if settled or number == iterations or not len(weight):
             break
         step = np.linalg.solve(hessian, slope @ (inverse * residual) - weight @ off)
         b += step[split:]
-        change = _take_step(places, states, step[:split])
+        change = take_step(places, states, step[:split])
     covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
     return ContactFit(
         states=states,
+        pressed_px=pressed,
         predicted_px=total,
         inverse=inverse,
         slope=slope,
@@ -390,17 +382,6 @@ def _may_be_far() -> tuple[tuple[slice, float], ...]:
     )
 
 
-def _hold(
-    places: ResponseTable, states: Sequence[ContactState], contact: int, direction: FloatArray
-) -> FloatArray:
-    """Return the weight (8c, 8c) that keeps a contact's centre from moving along a direction."""
-    row = np.zeros(UNKNOWNS * len(states))
-    row[UNKNOWNS * contact + 1 : UNKNOWNS * contact + 3] = (
-        places.axes[states[contact].place] @ direction / SETTINGS.held_mm
-    )
-    return np.outer(row, row)
-
-
 def _prior_sd(states: Sequence[ContactState], prior: ContactPrior) -> FloatArray:
     """Return the standard deviations (c, 8) of contacts' unknowns."""
     return np.array(
@@ -415,10 +396,10 @@ def _prior_sd(states: Sequence[ContactState], prior: ContactPrior) -> FloatArray
             ]
             for state in states
         ]
-    )
+    ).reshape(-1, UNKNOWNS)
 
 
-def _prior_weight(
+def prior_weight(
     states: Sequence[ContactState], off: FloatArray, prior: ContactPrior
 ) -> FloatArray:
     """Return the inverse variance (8c,) of contacts' unknowns that are ``off`` (8c,) the prior.
@@ -427,7 +408,7 @@ def _prior_weight(
     own indenters. Of contacts with a switch, places and moments far off it count less, by Cauchy's
     law (Holland and Welsch 1977).
     """
-    weight = _prior_sd(states, prior).reshape(-1, UNKNOWNS) ** -2.0
+    weight = _prior_sd(states, prior) ** -2.0
     square = off.reshape(weight.shape) ** 2 * weight
     switched = np.reshape([float(len(state.markers) > 0) for state in states], (-1, 1))
     for own, sds in _may_be_far():
@@ -436,20 +417,28 @@ def _prior_weight(
     return np.asarray(weight.ravel())
 
 
-def prior_cost(places: ResponseTable, states: Sequence[ContactState], prior: ContactPrior) -> float:
-    """Return the robust sum of squared deviations of contacts from their priors.
+def prior_cost(states: Sequence[ContactState], off: FloatArray, prior: ContactPrior) -> FloatArray:
+    """Return the robust sum of squared deviations (…, 8c) of contacts from priors, (…, c).
 
     Its derivative is that with the weights of a fit.
     """
-    off = prior_residual(places, states, prior).reshape(-1, UNKNOWNS)
-    square = (off / _prior_sd(states, prior)) ** 2
-    out = float(square[:, 0].sum() + square[:, SHEAR_START:].sum())
+    square = (off.reshape(*off.shape[:-1], -1, UNKNOWNS) / _prior_sd(states, prior)) ** 2
+    growth = np.where([len(state.markers) for state in states], SETTINGS.prior_growth_max, 0.0)
+    out = square[..., 0] + square[..., SHEAR_START:].sum(axis=-1)
     for own, sds in _may_be_far():
-        for total, state in zip(square[:, own].sum(axis=1).tolist(), states, strict=True):
-            near = min(total / sds**2, SETTINGS.prior_growth_max) if len(state.markers) else 0.0
-            beyond = total - near * sds**2
-            out += sds**2 * float(np.log1p(near)) + beyond / (1.0 + near)
-    return out
+        total = square[..., own].sum(axis=-1)
+        near = np.minimum(total / sds**2, growth)
+        out += sds**2 * np.log1p(near) + (total - near * sds**2) / (1.0 + near)
+    return np.asarray(out)
+
+
+def inverse_variance(
+    noise: ShiftNoise, seen: ShiftObservation, shift_px: FloatArray, pressed_px: FloatArray
+) -> FloatArray:
+    """Return the inverse variance (2n,) of shifts; 0 where a marker was not found."""
+    variance = noise.variance(shift_px, pressed_px, seen.noise_scale)
+    variance[np.concatenate([2 * seen.koi, 2 * seen.koi + 1])] += noise.switched_px**2
+    return np.where(seen.found, 1.0 / variance, 0.0)
 
 
 def robust_cost(residual_px: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
@@ -486,7 +475,7 @@ def prior_residual(
     return off.reshape(-1)
 
 
-def _take_step(places: ResponseTable, states: Sequence[ContactState], step: FloatArray) -> float:
+def take_step(places: ResponseTable, states: Sequence[ContactState], step: FloatArray) -> float:
     """Take a bounded step; return its size, see ``step_tolerance``."""
     if not states:
         return 0.0
@@ -507,8 +496,7 @@ def _take_step(places: ResponseTable, states: Sequence[ContactState], step: Floa
             x[SHEAR_START:] = (
                 axes_turn(places.axes[place], places.axes[state.place]) @ x[SHEAR_START:]
             )
-            state.place, state.tables = place, places.cubic(place)
-            state.shear = places.shear_cubic(place)
+            state.place, (state.tables, state.shear) = place, places.cubics(place)
             x[1:3] = places.tangent_coordinates([place], point[None])[0]
         # Farther from a place there is no surface: the contact would lie beyond a rim.
         far = float(np.hypot(*x[1:3])) / (SETTINGS.place_distance_max * places.spacing_mm)

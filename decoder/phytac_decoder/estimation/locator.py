@@ -403,7 +403,7 @@ class ContactLocator:
             seen,
             prior=self.prior,
             noise=self.noise,
-            motion=before.motion if before else None,
+            before=before,
             unweighted=0 if before else cold.unweighted_iterations,
             iterations=SETTINGS.warm_start_iterations if before else cold.iterations_max,
         )
@@ -500,26 +500,41 @@ class ContactLocator:
             most_N = np.exp(2.0 * self.threshold_sd) * self.threshold_N
         return bool((carried <= most_N).all())
 
-    def _log_switches(self, state: ContactState, koi: IntArray) -> float:
-        """Return the logarithm of how likely it is that switches read as they do, under a contact.
+    def _log_switches(self, states: Sequence[ContactState], koi: IntArray) -> FloatArray:
+        """Return the logarithm (c,) of how likely it is that switches read so, under each contact.
 
         How far it extends is poorly known: of likely extents, the one that agrees best with each.
         """
-        own = float(self._radii([state])[0])
-        radius = np.array([own, self.footprint_mm, SETTINGS.reach_radii * self.places.radius_mm])
-        gap = np.linalg.norm(centre_of(self.places, state) - self.position_mm, axis=1)
-        near = np.flatnonzero(gap <= radius.max() + self.footprint_mm)
-        carried = float(state.x[0]) * disc_overlap_share(
-            gap[near], radius[:, None], self.footprint_mm
+        own = self._radii(states)
+        reach = np.full_like(own, SETTINGS.reach_radii * self.places.radius_mm)
+        radius = np.stack([own, np.full_like(own, self.footprint_mm), reach])
+        points = np.stack([centre_of(self.places, state) for state in states])
+        gap = np.linalg.norm(points[:, None] - self.position_mm, axis=2)
+        near = np.flatnonzero(
+            (gap <= (radius.max(axis=0) + self.footprint_mm)[:, None]).any(axis=0)
         )
+        force = np.array([[state.x[0]] for state in states])
+        carried = force * disc_overlap_share(gap[:, near], radius[:, :, None], self.footprint_mm)
         on = self._share_on(carried, near)
-        reads_off = ~np.isin(near, koi) & ~np.isin(near, self.blind)
-        off = 1.0 - on.min(axis=0)[reads_off]
-        started = np.setdiff1d(state.markers, self.blind)
-        reached = on.max(axis=0)[np.isin(near, started)]
-        missed = np.zeros(len(started) - len(reached))
-        likely = np.maximum(np.concatenate([off, reached, missed]), SETTINGS.misread_share)
-        return float(np.log(likely).sum())
+        reads_on, started = np.zeros((1, len(gap[0])), bool), np.zeros(gap.shape, bool)
+        reads_on[0, koi] = True
+        for row, state in zip(started, states, strict=True):
+            row[state.markers] = True
+        started &= self._readable
+        log_off, log_on = np.log(
+            np.maximum([1.0 - on.min(axis=0), on.max(axis=0)], SETTINGS.misread_share)
+        )
+        out = np.sum(log_off * (~reads_on & self._readable)[:, near], axis=1)
+        out += np.sum(log_on * started[:, near], axis=1)
+        started[:, near] = False
+        return np.asarray(out + np.log(SETTINGS.misread_share) * started.sum(axis=1))
+
+    @cached_property
+    def _readable(self) -> BoolArray:
+        """Switches (n,) that the camera can read."""
+        out = np.ones(len(self.position_mm), dtype=np.bool_)
+        out[self.blind] = False
+        return out
 
     def _share_on(self, carried_N: FloatArray, ids: IntArray) -> FloatArray:
         """Return the share (…, m) of switches that forces (…, m) turn on: thresholds scatter."""

@@ -5,10 +5,11 @@ weak one farther away does. The force then grows by the same factor for each mil
 covariance at the best place alone is neither wide enough nor symmetric. The posterior is therefore
 integrated numerically over the one direction in which place and force are confused, with a normal
 distribution of all other unknowns at each node (nested Laplace approximation; Rue, Martino and
-Chopin 2009).
+Chopin 2009). The contact and its neighbours are fitted at each node; all else follows as the linear
+theory of the whole fit has it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import NormalDist
@@ -21,8 +22,12 @@ from phytac_decoder.estimation.contact_fit import (
     ContactPrior,
     ShiftNoise,
     ShiftObservation,
-    fit_contacts,
+    inverse_variance,
     prior_cost,
+    prior_residual,
+    prior_weight,
+    robust_cost,
+    take_step,
 )
 from phytac_decoder.estimation.contact_shifts import (
     SHEAR_START,
@@ -31,8 +36,9 @@ from phytac_decoder.estimation.contact_shifts import (
     centre_of,
     predicted_shifts,
 )
+from phytac_decoder.mechanics.interaction_table import InteractionCache
 from phytac_decoder.mechanics.response_table import ResponseTable, axes_turn
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,13 +53,20 @@ class AverageSettings:
     """Longest distance of nodes; one standard deviation of the place if that is shorter."""
     steps_max: int = 6
     """Largest number of nodes on either side of the best place."""
+    steps: int = 4
+    """Number of them that are computed at first."""
     cost_max: float = 9.0
     """Growth of the cost, in units of its scale, at which the density has vanished."""
     iterations: int = 3
-    """Iterations at a node; they start from the node before."""
+    """Iterations at a node; they start where a normal distribution has its mean."""
+    step_tolerance: float = 0.05
+    """Size of a step, see ``FitSettings.step_tolerance``, after which none follows: what is left is
+    about its square."""
+    held_mm: float = 1e-4
+    """Standard deviation of a centre that is held."""
     coupling_min: float = 0.1
     """Correlation of a contact's unknowns with those of another, from which that one is fitted
-    with it at every node; others stay as they are."""
+    with it at every node; others follow by linear theory."""
 
 
 SETTINGS = AverageSettings()
@@ -65,23 +78,43 @@ _NORMAL = np.array([NormalDist().inv_cdf((k + 0.5) / 40) for k in range(40)])
 """Values of a normal distribution of equal probability."""
 
 
+_Start = tuple[float, list[ContactState]]
+"""A distance, and the contacts of a line there."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Line:
-    """Places of one contact, and what stays as it is beside it.
+    """Places of one contact, and what else there is.
 
     Attributes
     ----------
+    states : list of ContactState
+        The c contacts that are fitted at each node, as they were fitted.
     number : int
-        Of the contact, among those that are fitted with it.
+        Of the contact, among these.
     held : (3,) float
         Direction in which its centre is moved, and held.
+    drift : (8c,) float
+        Change of their unknowns per mm, by their covariance.
+    others : list of ContactState
+        All other contacts.
     besides_px : (2n,) float
-        What all other contacts do.
+        What these do.
+    slope, weighted : (m, 2n) float
+        Derivatives by all other unknowns of the fit, and the same times the weight of each shift.
+    covariance : (m, m) float
+        Covariance of these where the c contacts are held.
     """
 
+    states: list[ContactState]
     number: int
     held: FloatArray
+    drift: FloatArray
+    others: list[ContactState]
     besides_px: FloatArray
+    slope: FloatArray
+    weighted: FloatArray
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +122,7 @@ class _Node:
     """A contact whose centre is held, at a distance from its best place."""
 
     distance_mm: float
+    state: ContactState
     states: list[ContactState]
     covariance: FloatArray
     cost: float
@@ -108,7 +142,7 @@ class PlaceAverage:
     scale : float
         Factor on its covariance: 1 where residuals are as noise explains.
     log_switches : callable
-        Logarithm of how likely it is that switches read as they do, under a contact.
+        Logarithms (c,) of how likely it is that switches read as they do, under each of contacts.
     """
 
     places: ResponseTable
@@ -117,7 +151,7 @@ class PlaceAverage:
     seen: ShiftObservation
     fit: ContactFit
     scale: float
-    log_switches: Callable[[ContactState], float]
+    log_switches: Callable[[Sequence[ContactState]], FloatArray]
 
     def contact(self, number: int) -> tuple[ContactState, FloatArray]:
         """Return a contact's mean state, with its median force, and covariance (8, 8).
@@ -129,31 +163,42 @@ class PlaceAverage:
         covariance = self.scale * self.fit.covariance[own, own]
         direction, sd_mm, by_place_N = _confusion(covariance)
         sure = by_place_N < SETTINGS.force_share * state.x[0]
-        if not sure or self.log_switches(state) < SETTINGS.log_switches_min:
-            coupled = self._coupled(number)
-            states = [self.fit.states[k] for k in coupled]
-            line = _Line(
-                number=coupled.index(number),
-                held=direction @ self.places.axes[state.place],
-                besides_px=self._pressed_px
-                - np.sum([part for part, _ in predicted_shifts(self.places, states)], axis=0),
-            )
-            middle = self._node(line, 0.0, states)
-            step_mm = min(sd_mm, SETTINGS.step_max_mm)
-            before = list(self._walk(line, middle, -step_mm))
-            after = list(self._walk(line, middle, step_mm))
-            if before or after:
-                return self._moments(line.number, [*before[::-1], middle, *after])
+        if not sure or self._log_switches[number] < SETTINGS.log_switches_min:
+            line = self._line(number, direction)
+            nodes = self._nodes_along(line, min(sd_mm, SETTINGS.step_max_mm))
+            if len(nodes) > 1:
+                return self._moments(nodes)
         # The logarithm of a force is what is determined: intervals reach farther upwards.
         share = min(float(np.sqrt(covariance[0, 0])) / state.x[0], 1.0)
         return state, _widened(covariance, np.expm1(share) / share)
 
     @cached_property
-    def _pressed_px(self) -> FloatArray:
-        """What all contacts do, (2n,) px, without motion of the cameras."""
-        camera_motion = self.seen.camera_motion
-        moved = camera_motion.shift_px(self.fit.motion) if camera_motion else 0.0
-        return np.asarray(self.fit.predicted_px - moved)
+    def _log_switches(self) -> FloatArray:
+        """Those of the contacts (c,) as they were fitted."""
+        return self.log_switches(self.fit.states)
+
+    def _line(self, number: int, direction: FloatArray) -> _Line:
+        """Return the line of places of a contact in a direction (2,) along and around."""
+        places, fit = self.places, self.fit
+        coupled = self._coupled(number)
+        own = (UNKNOWNS * np.array(coupled)[:, None] + np.arange(UNKNOWNS)).ravel()
+        states = [fit.states[k] for k in coupled]
+        place = UNKNOWNS * number + np.arange(1, 3)
+        drift = fit.joint_covariance[:, place] @ direction
+        drift = drift[own] / (drift[place] @ direction)
+        slope = np.delete(fit.slope, own, axis=0)
+        pressed_px = np.sum([part for part, _ in predicted_shifts(places, states)], axis=0)
+        return _Line(
+            states=states,
+            number=coupled.index(number),
+            held=direction @ places.axes[fit.states[number].place],
+            drift=drift,
+            others=[state for k, state in enumerate(fit.states) if k not in coupled],
+            besides_px=self.fit.pressed_px - pressed_px,
+            slope=slope,
+            weighted=slope * fit.inverse,
+            covariance=_given(fit.joint_covariance, own),
+        )
 
     def _coupled(self, number: int) -> list[int]:
         """Return a contact and those that its unknowns depend on."""
@@ -166,19 +211,42 @@ class PlaceAverage:
             coupled |= (wall == wall[number]) & (wall >= 0)
         return np.flatnonzero(coupled).tolist()
 
-    def _walk(self, line: _Line, node: _Node, step_mm: float) -> Iterator[_Node]:
-        """Yield nodes to one side of a node, to the end of the surface or of the density."""
-        least, number = node.cost, line.number
-        for _ in range(SETTINGS.steps_max):
-            moved = self._moved(node.states[number], step_mm, line.held)
+    def _nodes_along(self, line: _Line, step_mm: float) -> list[_Node]:
+        """Return nodes to both sides of the best place, to where surface or density end."""
+        first, steps = (0.0, line.states), (-step_mm, step_mm)
+        near = [list(self._walk(line, first, step, SETTINGS.steps)) for step in steps]
+        middle, *nodes = self._nodes(line, [first, *near[0], *near[1]])
+        out = []
+        for step, side in zip(steps, near, strict=True):
+            found, nodes = nodes[: len(side)], nodes[len(side) :]
+            kept = _to_end([middle, *found])
+            if len(kept) == 1 + SETTINGS.steps:
+                count = SETTINGS.steps_max - SETTINGS.steps
+                start = (kept[-1].distance_mm, kept[-1].states)
+                more = list(self._walk(line, start, step, count))
+                kept = _to_end([*kept, *self._nodes(line, more)]) if more else kept
+            out.append(kept[1:])
+        return [*out[0][::-1], middle, *out[1]]
+
+    def _walk(self, line: _Line, start: _Start, step_mm: float, count: int) -> Iterator[_Start]:
+        """Yield distances, and where a normal distribution has its mean, on from a start."""
+        distance_mm, states = start
+        drift = step_mm * line.drift.reshape(-1, UNKNOWNS)
+        drift[line.number, 1:3] = 0.0
+        # The force grows by the same factor for each millimetre.
+        share = np.array([state.x[0] for state in line.states])
+        drift[:, 0] = np.expm1(np.clip(drift[:, 0] / share, -3.0, 3.0))
+        for _ in range(count):
+            moved = self._moved(states[line.number], step_mm, line.held)
             if moved is None:
                 return
-            states = [*node.states[:number], moved, *node.states[number + 1 :]]
-            node = self._node(line, node.distance_mm + step_mm, states)
-            yield node
-            least = min(least, node.cost)
-            if node.cost - least > SETTINGS.cost_max:
-                return
+            states = [state.copy() for state in states]
+            states[line.number] = moved
+            change = drift.copy()
+            change[:, 0] *= [state.x[0] for state in states]
+            take_step(self.places, states, change.ravel())
+            distance_mm += step_mm
+            yield distance_mm, states
 
     def _moved(self, state: ContactState, step_mm: float, held: FloatArray) -> ContactState | None:
         """Return a contact moved by a step; None beyond the end of the surface."""
@@ -193,31 +261,80 @@ class PlaceAverage:
             return None
         return _at(places, replace(state, x=_about(places, state, own, point)), own)
 
-    def _node(self, line: _Line, distance_mm: float, states: list[ContactState]) -> _Node:
-        number = line.number
-        fit = fit_contacts(
-            self.places,
-            [state.copy() for state in states],
-            self.seen,
-            prior=self.prior,
-            noise=self.noise,
-            motion=self.fit.motion,
-            unweighted=0,
-            iterations=SETTINGS.iterations,
-            held=(number, line.held),
-            besides_px=line.besides_px,
-        )
-        own = slice(UNKNOWNS * number, UNKNOWNS * (number + 1))
-        cost = fit.residual_cost / self.scale + prior_cost(self.places, fit.states, self.prior)
-        return _Node(
-            distance_mm=distance_mm,
-            states=fit.states,
-            covariance=fit.covariance[own, own],
-            cost=cost - 2.0 * self.log_switches(fit.states[number]),
-            log_volume=0.5 * float(np.linalg.slogdet(fit.covariance)[1]),
-        )
+    def _nodes(self, line: _Line, starts: Sequence[_Start]) -> list[_Node]:
+        """Fit a contact whose centre is held, at several places at once."""
+        places, fit, size = self.places, self.fit, UNKNOWNS * len(line.states)
+        nodes = [[state.copy() for state in states] for _, states in starts]
+        flat = [state for states in nodes for state in states]
+        caches = [InteractionCache(pairs=places.pairs) if places.pairs else None for _ in nodes]
+        own = slice(UNKNOWNS * line.number, UNKNOWNS * (line.number + 1))
+        centre = slice(own.start + 1, own.start + 3)
+        change = np.inf
+        for number in range(SETTINGS.iterations + 1):
+            parts = [
+                predicted_shifts(places, states, cache)
+                for states, cache in zip(nodes, caches, strict=True)
+            ]
+            pressed_px = np.stack([sum(each for each, _ in part) for part in parts])
+            pressed_px += line.besides_px
+            slope = np.stack([each for part in parts for _, each in part])
+            slope = slope.reshape(len(nodes), size, -1)
+            change_px, weighted = pressed_px - self.fit.pressed_px, slope * fit.inverse
+            # Of the other unknowns: their slopes along these contacts', and where they go.
+            along, steps = weighted @ line.slope.T, -change_px @ line.weighted.T @ line.covariance
+            off = prior_residual(places, flat, self.prior)
+            weight = prior_weight(flat, off, self.prior)
+            held = [states[line.number].place for states in nodes]
+            across = places.axes[held] @ line.held / SETTINGS.held_mm
+            hessian = weighted @ slope.swapaxes(1, 2)
+            hessian -= along @ line.covariance @ along.swapaxes(1, 2)
+            hessian[:, range(size), range(size)] += weight.reshape(-1, size)
+            hessian[:, centre, centre] += across[:, :, None] * across[:, None]
+            if number == SETTINGS.iterations or change < SETTINGS.step_tolerance:
+                break
+            residual_px = self.seen.shift_px - fit.predicted_px - change_px
+            gradient = (weighted @ residual_px[:, :, None] - along @ steps[:, :, None]).ravel()
+            gradient -= weight * off
+            step = np.linalg.solve(hessian, gradient.reshape(-1, size, 1))
+            change = take_step(places, flat, np.asarray(step.ravel(), dtype=np.float64))
+        covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
+        cost = self._cost(line, pressed_px, steps)
+        cost += prior_cost(flat, off, self.prior).reshape(len(nodes), -1).sum(axis=1)
+        cost -= 2.0 * self.log_switches([states[line.number] for states in nodes])
+        volume = 0.5 * np.linalg.slogdet(covariance)[1]
+        return [
+            _Node(
+                distance_mm=starts[k][0],
+                states=states,
+                state=states[line.number],
+                covariance=covariance[k, own, own],
+                cost=float(cost[k]),
+                log_volume=float(volume[k]),
+            )
+            for k, states in enumerate(nodes)
+        ]
 
-    def _moments(self, number: int, nodes: list[_Node]) -> tuple[ContactState, FloatArray]:
+    def _cost(self, line: _Line, pressed_px: FloatArray, steps: FloatArray) -> FloatArray:
+        """Return costs (k,), but for the prior of the contacts that are fitted.
+
+        All other unknowns take steps (k, m) from the fit; without these, contacts shift markers by
+        ``pressed_px`` (k, 2n).
+        """
+        split = UNKNOWNS * len(line.others)
+        pressed_px = pressed_px + steps[:, :split] @ line.slope[:split]
+        total_px = pressed_px + self.fit.predicted_px - self.fit.pressed_px
+        total_px += steps[:, split:] @ line.slope[split:]
+        square = [
+            robust_cost(
+                self.seen.shift_px - total, inverse_variance(self.noise, self.seen, total, pressed)
+            )[0]
+            for total, pressed in zip(total_px, pressed_px, strict=True)
+        ]
+        off = prior_residual(self.places, line.others, self.prior) + steps[:, :split]
+        own = prior_cost(line.others, off, self.prior).sum(axis=1)
+        return np.asarray(np.array(square) / self.scale + own)
+
+    def _moments(self, nodes: list[_Node]) -> tuple[ContactState, FloatArray]:
         """Return mean and covariance over nodes by the trapezoidal rule; of the force the median.
 
         Its standard deviation is such that the 95 % interval about the median holds the true one.
@@ -225,12 +342,12 @@ class PlaceAverage:
         cost = np.array([node.cost for node in nodes])
         uniform = np.array([node.log_volume for node in nodes]) - 0.5 * cost
         # Beforehand a force is as likely in each of equal ranges of its logarithm.
-        log_weight = uniform - np.log([node.states[number].x[0] for node in nodes])
+        log_weight = uniform - np.log([node.state.x[0] for node in nodes])
         weight = np.exp(log_weight - log_weight.max())
         at = np.array([node.distance_mm for node in nodes])
         weight *= np.diff(np.concatenate([at[:1], (at[1:] + at[:-1]) / 2.0, at[-1:]]))
         weight /= weight.sum()
-        each = [node.states[number] for node in nodes]
+        each = [node.state for node in nodes]
         point = weight @ np.stack([centre_of(self.places, state) for state in each])
         place = int(self.places.nearest(point[None])[0])
         x = np.stack(
@@ -249,6 +366,13 @@ class PlaceAverage:
         return state, _widened(covariance, half_width / np.sqrt(covariance[0, 0]))
 
 
+def _to_end(nodes: Sequence[_Node]) -> Sequence[_Node]:
+    """Return nodes up to the first where the density has vanished."""
+    least = np.minimum.accumulate([node.cost for node in nodes])
+    over = np.array([node.cost for node in nodes]) - least > SETTINGS.cost_max
+    return nodes[: int(over.argmax()) + 1] if over.any() else nodes
+
+
 def _about(
     places: ResponseTable, state: ContactState, place: int, point_mm: FloatArray
 ) -> FloatArray:
@@ -261,7 +385,8 @@ def _about(
 
 def _at(places: ResponseTable, state: ContactState, place: int) -> ContactState:
     """Return a contact whose unknowns are about a place, with the tables there."""
-    return replace(state, place=place, tables=places.cubic(place), shear=places.shear_cubic(place))
+    tables, shear = places.cubics(place)
+    return replace(state, place=place, tables=tables, shear=shear)
 
 
 def _confusion(covariance: FloatArray) -> tuple[FloatArray, float, float]:
@@ -275,6 +400,13 @@ def _confusion(covariance: FloatArray) -> tuple[FloatArray, float, float]:
     direction = with_force / size if size > 0.0 else np.array([1.0, 0.0])
     sd_mm = float(np.sqrt(direction @ place @ direction))
     return direction, sd_mm, float(np.sqrt(with_force @ np.linalg.solve(place, with_force)))
+
+
+def _given(covariance: FloatArray, own: IntArray) -> FloatArray:
+    """Return the covariance (m, m) of unknowns where others are given."""
+    across = np.delete(covariance[:, own], own, axis=0)
+    rest = np.delete(np.delete(covariance, own, axis=0), own, axis=1)
+    return np.asarray(rest - across @ np.linalg.solve(covariance[np.ix_(own, own)], across.T))
 
 
 def _widened(covariance: FloatArray, factor: float) -> FloatArray:

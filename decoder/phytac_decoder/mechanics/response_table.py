@@ -270,6 +270,21 @@ class ResponseTable:
         # The second and third rows of a cubic are its first derivatives.
         return np.asarray(np.einsum("mtq,mqi->mti", weights[place, 1:3], each))
 
+    def cubics(self, place: int) -> tuple[Any, Any]:
+        """Return :meth:`cubic` and :meth:`shear_cubic` of a place, of recent places kept."""
+        found = self._recent.get(place)
+        if found is None:
+            # 64 places, of 150 kB each for cylinder60.
+            if len(self._recent) >= 64:
+                self._recent.pop(next(iter(self._recent)), None)
+            found = self._recent[place] = self.cubic(place), self.shear_cubic(place)
+        return found
+
+    @cached_property
+    def _recent(self) -> dict[int, tuple[Any, Any]]:
+        """Cubics of recent places: contacts stay for many iterations and frames."""
+        return {}
+
     def cubic(self, place: int) -> Any:
         """Return derivatives (10, k, 2n) float32 of the rows at a place; see :attr:`fits`."""
         near, weights = self.fits
