@@ -174,14 +174,16 @@ def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Ori
         )
     hull = mesh.vertices_mm[ConvexHull(mesh.vertices_mm).vertices]
     figures = np.zeros((len(ups), 3))
-    fits = np.zeros(len(ups), dtype=np.bool_)
+    # In a ball that is no wider than the bed's shortest side the body fits in any direction.
+    small = 2.0 * np.linalg.norm(hull - hull.mean(axis=0), axis=1).max() <= min(rules.bed_mm)
+    fits = np.array([small or on_bed(hull, up, rules)[2] for up in ups])
+    middles = tree.corners.mean(axis=1)
     for k, up in enumerate(ups):
-        height, _, fits[k] = on_bed(hull, up, rules)
-        own = overhanging(tree, up, rules)
-        area, middle = tree.area_mm2[own], tree.corners[own].mean(axis=1)
+        own, heights = overhanging(tree, up, rules), hull @ up
         # Supports as if all stood on the bed: a bound, and a fair measure between directions.
-        support = area * -(tree.normal[own] @ up) * (middle @ up - float((hull @ up).min()))
-        figures[k] = area.sum(), support.sum(), height
+        support = -(tree.normal[own] @ up) * (middles[own] @ up - heights.min())
+        area = tree.area_mm2[own]
+        figures[k] = area.sum(), (area * support).sum(), np.ptp(heights)
     typical = np.median(figures, axis=0)
     cost = (figures / np.where(typical > 0.0, typical, 1.0)).sum(axis=1)
     pool = np.flatnonzero(fits) if fits.any() else np.arange(len(ups))
