@@ -1,6 +1,6 @@
 """Whole builds: the published sensor from an empty cache and again, and every other shape.
 
-``python -m benchmarks.build [--quick] [--parts cylinder60,drafts,standard]``
+``python -m benchmarks.build [--quick] [--parts cylinder60,drafts,standard,workers]``
 """
 
 import json
@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,20 +30,53 @@ WORKERS = 2
 
 
 def run(
-    cache: Path, out: Path, accuracy: str, design: str = "cylinder60"
+    cache: Path,
+    out: Path,
+    accuracy: str,
+    design: str = "cylinder60",
+    *,
+    workers: int = WORKERS,
+    watch: Callable[[int], None] = lambda _: None,
 ) -> tuple[float, dict[str, Any]]:
-    """Build a shipped design in a process of its own: wall seconds and its JSON summary."""
+    """Build a shipped design in a process of its own: wall seconds and its JSON summary.
+
+    ``watch`` is called with the process's number every second.
+    """
     words = ["build", design, "--out", str(out), "--accuracy", accuracy, "--json"]
-    words += ["--workers", str(WORKERS)]
+    words += ["--workers", str(workers)]
     start = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-c", "from phytac_design.cli.app import main; main()", *words],
-        env={**os.environ, "PHYTAC_CACHE": str(cache)},
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    return time.perf_counter() - start, json.loads(done.stdout)
+    with tempfile.TemporaryFile() as said:
+        done = subprocess.Popen(
+            [sys.executable, "-c", "from phytac_design.cli.app import main; main()", *words],
+            env={**os.environ, "PHYTAC_CACHE": str(cache)},
+            stdout=said,
+        )
+        while done.poll() is None:
+            watch(done.pid)
+            with suppress(subprocess.TimeoutExpired):
+                done.wait(1.0)
+        seconds = time.perf_counter() - start
+        if done.returncode:
+            raise subprocess.CalledProcessError(done.returncode, words)
+        said.seek(0)
+        return seconds, json.loads(said.read())
+
+
+def memory_MB(parent: int) -> float:
+    """Proportional set size of a process and its descendants, MB (Linux)."""
+    family, total = {parent}, 0.0
+    for folder in sorted(Path("/proc").glob("[0-9]*"), key=lambda each: int(each.name)):
+        with suppress(OSError, IndexError):
+            own, above = (
+                int(folder.name),
+                int((folder / "stat").read_text().split(")")[-1].split()[1]),
+            )
+            if own not in family and above not in family:
+                continue
+            family.add(own)
+            lines = (folder / "smaps_rollup").read_text().splitlines()
+            total += sum(float(line.split()[1]) for line in lines if line.startswith("Pss:"))
+    return total / 1024.0
 
 
 def add_stages(table: Table, name: str, timing_s: dict[str, float]) -> None:
@@ -95,6 +129,38 @@ def add_shapes(table: Table, *, accuracy: str) -> None:
         )
 
 
+def add_workers(table: Table, *, accuracy: str) -> None:
+    """Builds of the published sensor by one, two and four workers: time, memory, files."""
+    seconds: dict[int, float] = {}
+    files: dict[int, dict[str, str]] = {}
+    for workers in (1, 2, 4):
+        peaks = [0.0]
+
+        def watch(process: int, peaks: list[float] = peaks) -> None:
+            peaks.append(memory_MB(process))
+
+        with tempfile.TemporaryDirectory() as folder:
+            cache, out = Path(folder) / "cache", Path(folder) / "out"
+            seconds[workers], _ = run(cache, out, accuracy, workers=workers, watch=watch)
+            manifest = json.loads((out / "manifest.json").read_text())
+            files[workers] = {item["path"]: item["sha256"] for item in manifest["files"]}
+        name = f"cylinder60, {accuracy}, workers: {workers}"
+        table.add(f"{name}: whole build, empty cache", seconds[workers], "s", "-", "reported only")
+        limit = "<= 3" if workers == WORKERS else None
+        source = "project target, of all processes, proportional set size"
+        table.add(f"{name}: peak memory", max(peaks) / 1024.0, "GiB", 3.0, source, limit)
+    name = f"cylinder60, {accuracy}"
+    gain = seconds[1] / seconds[2]
+    table.add(f"{name}: two workers over one", gain, "times", 1.6, "project target", ">= 1.6")
+    report = {path for path in files[1] if path.startswith("report/")}
+    for workers in (2, 4):
+        either = files[1].keys() | files[workers].keys()
+        other = [k for k in either if files[1].get(k) != files[workers].get(k) and k not in report]
+        row = f"{name}: files that differ between 1 and {workers} workers"
+        source = f"of {len(files[1])}, without the {len(report)} of the report, which has times"
+        table.add(row, len(other), "files", 0, source, "== 0", note=", ".join(sorted(other)))
+
+
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """All parts by name, in order."""
 
@@ -108,6 +174,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "cylinder60": cylinder,
         "drafts": partial(add_shapes, accuracy="draft"),
         "standard": partial(add_shapes, accuracy="standard"),
+        "workers": partial(add_workers, accuracy="draft" if quick else "standard"),
     }
 
 
