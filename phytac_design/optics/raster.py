@@ -9,7 +9,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.distorted_triangles import distorted_view
-from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene
+from phytac_design.optics.render_scene import FIRST_MARKER, RESIN, RenderScene
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -36,13 +36,19 @@ class Buffers:
 def project_scene(scene: RenderScene, camera: Camera, *, rays: FloatArray | None = None) -> View:
     """Bring a scene into the camera: cut at a pinhole's near plane, split for other lenses.
 
-    ``rays`` replace the rays of all pixels for a lens with distortion.
+    Without faces of closed bodies that look away from the camera, which others hide. ``rays``
+    replace the rays of all pixels for a lens with distortion.
     """
     points = camera.to_camera(scene.vertices)
-    lens = camera.lens
+    lens, triangles = camera.lens, scene.triangles
+    shown = np.arange(len(triangles), dtype=np.int32)
+    if scene.closed:
+        shown = shown[_shown(points, triangles, scene.part)]
+        triangles = triangles[shown]
     if not isinstance(lens, Pinhole):
-        return distorted_view(points, scene.triangles, camera, rays)
-    points, triangles, source = clip_near(points, scene.triangles)
+        view = distorted_view(points, triangles, camera, rays)
+        return view._replace(source=shown[view.source])
+    points, triangles, source = clip_near(points, triangles)
     # Vertices left behind the near plane belong to no triangle any more.
     depth = np.where(points[:, 2] > 0.0, points[:, 2], np.nan)
     image = lens.focal_px * points[:, :2] / depth[:, None] + lens.centre_px
@@ -51,11 +57,27 @@ def project_scene(scene: RenderScene, camera: Camera, *, rays: FloatArray | None
         triangles=triangles,
         image=image[triangles],
         bulge=np.zeros(len(triangles)),
-        source=source,
+        source=shown[source],
         lens=np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px]),
         rays=np.empty((0, 0, 3)),
         origin=np.zeros(2, dtype=np.int64),
     )
+
+
+@kernel
+def _shown(points: FloatArray, triangles: NDArray[np.int32], part: NDArray[np.int32]) -> BoolArray:
+    """Whether triangles (T,) look at the camera, or belong to no receptor; camera frame."""
+    shown = np.ones(len(triangles), dtype=np.bool_)
+    for t in range(len(triangles)):
+        if part[t] < FIRST_MARKER and part[t] != RESIN:
+            continue
+        a, b, c = triangles[t]
+        ax, ay, az = points[a]
+        bx, by, bz = points[b]
+        cx, cy, cz = points[c]
+        volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        shown[t] = volume <= 0.0
+    return shown
 
 
 def all_pieces(view: View) -> NDArray[np.int32]:
