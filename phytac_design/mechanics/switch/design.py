@@ -148,11 +148,14 @@ def find_bowl(
 def _curve_of(
     threshold_N: float, rubber: Rubber, space: SwitchSpace, fillet_mm: float
 ) -> ForceStrokeCurve:
-    """Curve of the bowl with the threshold as limit load, deep enough for its stroke."""
-    depth, wall = space.stroke_mm + EXTRA_DEPTH_mm, 0.0
+    """Curve of the bowl with the threshold as limit load, deep enough for its stroke.
+
+    On the coarse mesh first, which finds the depth that is then confirmed on the fine one.
+    """
+    depth, wall, refine = space.stroke_mm + EXTRA_DEPTH_mm, 0.0, 1
     while True:
-        wall = _wall(threshold_N, rubber, space, fillet_mm, depth, guess_mm=wall)
-        if wall < space.wall_min_mm:
+        wall = _wall(threshold_N, rubber, space, fillet_mm, depth, guess_mm=wall, refine=refine)
+        if wall < (0.9 if refine == 1 else 1.0) * space.wall_min_mm:
             raise UnsuitableBowlError(
                 "bowl-wall-too-thin",
                 f"the wall would be {wall:.4f} mm, thinner than the {space.wall_min_mm:g} mm that "
@@ -164,14 +167,17 @@ def _curve_of(
             bowl,
             rubber.material,
             hole_diameter_mm=space.hole_diameter_mm,
-            refine=2,
+            refine=refine,
             steps=18,
         )
         snap = snap_of(curve)
         short = space.stroke_mm - (snap.stroke_mm if snap else 0.0)
-        if short <= 0.0 or not curve.complete or bowl.depth_mm < depth:
+        enough = short <= 0.0 or not curve.complete or bowl.depth_mm < depth
+        if refine == 2 and enough:
             return curve
-        depth += short + 0.02
+        if not enough and (snap or refine == 2):
+            depth += short + 0.02
+        refine = 2
 
 
 def wall_guess_mm(threshold_N: float, rubber: Rubber, space: SwitchSpace) -> float:
@@ -189,12 +195,13 @@ def _wall(
     depth_mm: float,
     *,
     guess_mm: float,
+    refine: int,
 ) -> float:
-    """Wall, mm, by the secant method on logarithms: coarse mesh first, then the fine one."""
+    """Wall, mm, by the secant method on logarithms; to 2 % on the coarse mesh."""
     half = 0.5 * space.diameter_mm
     limit_wall = 0.4 * half
 
-    def load(log_wall: float, refine: int) -> float:
+    def load(log_wall: float) -> float:
         wall = float(np.exp(log_wall))
         try:
             bowl = bowl_of(space, fillet_mm, depth_mm, wall)
@@ -209,12 +216,8 @@ def _wall(
     start = guess_mm or wall_guess_mm(threshold_N, rubber, space)
     bounds = (np.log(0.03 * half), np.log(limit_wall))
     x = float(np.clip(np.log(start), *bounds))
-    if not guess_mm:
-        x = _secant(lambda at: load(at, 1), x, bounds, tolerance=0.02)
-    if np.exp(x) < 0.9 * space.wall_min_mm:
-        return float(np.exp(x))
-    # Meshes add about as large an error as is tolerated here.
-    return float(np.exp(_secant(lambda at: load(at, 2), x, bounds, tolerance=2e-3)))
+    # The fine mesh adds about as large an error as is tolerated there.
+    return float(np.exp(_secant(load, x, bounds, tolerance=0.02 if refine == 1 else 2e-3)))
 
 
 def _secant(
