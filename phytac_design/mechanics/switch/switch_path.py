@@ -204,6 +204,16 @@ class PathControl:
             return normal, gap, SETTINGS.constraint_tolerance * abs(move)
 
         guess = (here.unknowns + before, here.load_factor + rate)
+        if len(points) > 1:
+            # Parabola by the change of the tangents: an iteration of Newton's method less.
+            last = points[-2]
+            old = move / float(last.drive[self.unknown])
+            way = float(here.unknowns[self.unknown] - last.unknowns[self.unknown])
+            half = 0.5 * move / way
+            guess = (
+                guess[0] + half * (before - old * last.drive),
+                guess[1] + half * (rate - old),
+            )
         found = correct(model, load, guess, constraint)
         after = move / float(found.drive[self.unknown]) * found.drive
         return found, path_deviation(found.unknowns - here.unknowns, before, after)
