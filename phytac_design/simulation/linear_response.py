@@ -8,7 +8,7 @@ by one.
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import bsr_matrix, csr_matrix
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.large import rotations as rot
@@ -76,12 +76,15 @@ def motion_responses(
         return np.concatenate(parts, axis=1).reshape(len(uv), markers.count, 6)
     adjoint = np.concatenate(list(adjoints), axis=1)
     around = mesh.around or 1
-    field = adjoint.reshape(-1, around, 2, 3, adjoint.shape[1])
+    # The few loads of a patch are turned, not the adjoints: vectors, node after node around.
+    vectors = patches.tobsr((1, 3))
+    place = np.arange(adjoint.shape[0] // 3).reshape(-1, around, 2)
     out = np.empty((len(uv), markers.count // columns, columns, 2, 3))
     for k in range(columns):
         power = np.linalg.matrix_power(turn, k)
-        turned = np.einsum("xy,lacym->lacxm", power, np.roll(field, k * around // columns, axis=1))
-        response = np.asarray(patches @ turned.reshape(adjoint.shape))
+        back = np.roll(place, k * around // columns, axis=1).ravel()[vectors.indices]
+        turned = bsr_matrix((vectors.data @ power, back, vectors.indptr), shape=vectors.shape)
+        response = np.asarray(turned.tocsr() @ adjoint)
         out[:, :, k] = response.reshape(len(uv), -1, 2, 3) @ power.T
     return out.reshape(len(uv), markers.count, 6)
 
