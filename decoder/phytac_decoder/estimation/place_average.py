@@ -57,16 +57,18 @@ class AverageSettings:
     """Number of them that are computed at first."""
     cost_max: float = 9.0
     """Growth of the cost, in units of its scale, at which the density has vanished."""
-    iterations: int = 3
-    """Iterations at a node; they start where a normal distribution has its mean."""
+    iterations: int = 2
+    """Iterations at a node; they start where a normal distribution has its mean. With a third,
+    forces change by 0.03 standard deviations at most on a film of cylinder60."""
     step_tolerance: float = 0.05
     """Size of a step, see ``FitSettings.step_tolerance``, after which none follows: what is left is
     about its square."""
     held_mm: float = 1e-4
     """Standard deviation of a centre that is held."""
-    coupling_min: float = 0.1
+    coupling_min: float = 0.3
     """Correlation of a contact's unknowns with those of another, from which that one is fitted
-    with it at every node; others follow by linear theory."""
+    with it at every node; others follow by linear theory. On a film of cylinder60 forces are within
+    0.01 standard deviations of those with 0.1."""
 
 
 SETTINGS = AverageSettings()
