@@ -253,6 +253,9 @@ def mark_visibility(
 
     ``buffers`` are ``rasterise`` of the scene, where they are known already.
     """
+    if not rest.marks:
+        none = np.zeros(0, dtype=np.int64)
+        return MarkVisibility(visible_px=none, centroid_px=np.zeros((0, 2)), clear=none == 1)
     outline = sensor.reference_marks.outline_mm
     flat = camera.project(outline.reshape(-1, 3)).reshape(*outline.shape[:2], 2)
     # Shoelace formula; it also counts what lies beyond the image.
