@@ -118,9 +118,19 @@ def test_a_faint_contact_is_seen_within_a_few_frames() -> None:
     with mock.patch(
         "phytac_decoder.estimation.locator.SETTINGS", replace(SETTINGS, chi2_growth_max=100.0)
     ):
-        found, _ = followed(shifts, 2 + SETTINGS.search_every_frames)
+        found, rounds = followed(shifts, 2 + SETTINGS.search_every_frames)
     assert [len(each.state.fit.states) for each in found if each.state][-1] == 3
     assert age_of(found[1]) == 1
+    # The fit that shows it is kept: it is as in the frame alone, in fewer rounds.
+    seen_at = SETTINGS.search_every_frames
+    assert age_of(found[seen_at]) == 0
+    with mock.patch.object(
+        contact_fit, "predicted_shifts", wraps=contact_fit.predicted_shifts
+    ) as asked:
+        alone = LOCATOR.find(shifts(seen_at), KOI)
+    assert rounds[seen_at] < asked.call_count
+    for one, other in zip(found[seen_at].contacts, alone.contacts, strict=True):
+        assert one.raw_N == pytest.approx(other.raw_N, abs=0.05 * other.raw_sd_N)
 
 
 def test_a_contact_without_a_switch_that_is_lifted_is_gone() -> None:

@@ -280,7 +280,7 @@ class ContactLocator:
         if search and len(unswitched) < SETTINGS.unswitched_max:
             more = self._add_unswitched(best, seen)
             if len(more.states) > len(best.states):
-                return None
+                return replace(state, fit=more, reduced_chi2=more.reduced_chi2, age=0)
         return replace(state, fit=best, age=age)
 
     def _restarted(
