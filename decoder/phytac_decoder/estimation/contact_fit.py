@@ -7,7 +7,7 @@ under a distribution with power-law tails (Huber 1981, ch. 7): iteratively rewei
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -333,7 +333,7 @@ def fit_contacts(
             pressed, total, slope = before.pressed_px, before.predicted_px, before.slope
         else:
             parts = predicted_shifts(places, states, cache)
-            pressed = np.sum([part for part, _ in parts], axis=0) + np.zeros(len(seen.shift_px))
+            pressed = sum((part for part, _ in parts), start=np.zeros(len(seen.shift_px)))
             slopes = [each for _, each in parts]
             total = pressed
             if camera_motion:
@@ -351,7 +351,9 @@ def fit_contacts(
             inverse = inverse * share
             settled = change < SETTINGS.step_tolerance and (robust or bool((share == 1.0).all()))
             robust = True
-        hessian = (slope * inverse) @ slope.T + weight
+        # The product of a matrix with its own transpose takes half the time.
+        rooted = slope * np.sqrt(inverse)
+        hessian = rooted @ rooted.T + weight
         # Ends where everything that is returned has been computed.
         if settled or number == iterations or not len(weight):
             break
@@ -475,13 +477,19 @@ def prior_residual(
     return off.reshape(-1)
 
 
+@cache
+def _longest_step() -> FloatArray:
+    """Return the longest step (8,) of a contact's unknowns."""
+    return np.repeat([np.inf, SETTINGS.step_mm, SETTINGS.step_mm2, np.inf], (1, 2, 3, 2))
+
+
 def take_step(places: ResponseTable, states: Sequence[ContactState], step: FloatArray) -> float:
     """Take a bounded step; return its size, see ``step_tolerance``."""
     if not states:
         return 0.0
-    longest = np.repeat([np.inf, SETTINGS.step_mm, SETTINGS.step_mm2, np.inf], (1, 2, 3, 2))
+    longest = _longest_step()
     old = np.array([state.x for state in states])
-    new = old + np.clip(step.reshape(-1, UNKNOWNS), -longest, longest)
+    new = old + np.minimum(np.maximum(step.reshape(-1, UNKNOWNS), -longest), longest)
     force = old[:, 0]
     force_min = np.maximum(0.3 * force, SETTINGS.force_min_N)
     new[:, 0] = np.minimum(np.maximum(new[:, 0], force_min), 3.0 * force + 1.0)
