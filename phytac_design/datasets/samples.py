@@ -1,6 +1,6 @@
 """Samples of a sensor, simulated or measured: contacts, observations and true forces."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -273,6 +273,50 @@ def power_of_two_below(value: float) -> float:
     return float(2.0 ** np.floor(np.log2(value)))
 
 
+@dataclass(frozen=True, kw_only=True)
+class PressedNodes:
+    """Key nodes that were found, of samples that did not fail, in order of the samples.
+
+    Attributes
+    ----------
+    sample, marker : (k,) int
+        Which ones.
+    force_N : (k,) float
+        True force on each.
+    shift_px : (samples, n, 2) float
+        Shifts of all markers.
+    """
+
+    sample: IntArray
+    marker: IntArray
+    force_N: FloatArray
+    shift_px: FloatArray
+
+    def by_sample(self) -> Iterator[tuple[slice, FloatArray, IntArray]]:
+        """Yield each sample's rows, shifts (n, 2) and key nodes."""
+        each, start, count = np.unique(self.sample, return_index=True, return_counts=True)
+        for s, first, stop in zip(each, start, start + count, strict=True):
+            yield slice(first, stop), self.shift_px[s], self.marker[first:stop]
+
+
+def pressed_nodes(samples: Samples) -> PressedNodes:
+    """Return the key nodes of samples with points and their true forces."""
+    if samples.bits_read is None or samples.shift_px is None or samples.truth is None:
+        raise InputError(
+            "samples-without-points",
+            "key_nodes: the samples hold no shifts, switches or truth; make them with "
+            "keep='points'",
+        )
+    seen = np.isfinite(samples.shift_px).all(axis=2)
+    on = samples.bits_read & (samples.status != FAILED)[:, None] & seen
+    truth = np.zeros(on.shape)
+    np.add.at(truth, (samples.truth.sample, samples.truth.marker), samples.truth.force_N)
+    sample, marker = np.nonzero(on)
+    return PressedNodes(
+        sample=sample, marker=marker, force_N=truth[sample, marker], shift_px=samples.shift_px
+    )
+
+
 def key_nodes(
     model: ForceModel, samples: Samples, *, noise_px: float, base: Base = "stiffness"
 ) -> KeyNodeRows:
@@ -292,36 +336,22 @@ def key_nodes(
     base : str
         Force that stands in ``stiffness_force_N``, see :class:`.CascadeNetwork`.
     """
-    if samples.bits_read is None or samples.shift_px is None or samples.truth is None:
-        raise InputError(
-            "samples-without-points",
-            "key_nodes: the samples hold no shifts, switches or truth; make them with "
-            "keep='points'",
-        )
+    nodes = pressed_nodes(samples)
     size = np.linalg.norm(model.shift_to_mm, axis=1)
     force_noise = noise_px * model.stiffness_noise_N_px
     force_noise = force_noise[(force_noise > 0.0) & np.isfinite(force_noise)]
-    usable = samples.status != FAILED
-    seen = np.isfinite(samples.shift_px).all(axis=2)
-    on = samples.bits_read & usable[:, None] & seen
-    truth = np.zeros(on.shape)
-    np.add.at(truth, (samples.truth.sample, samples.truth.marker), samples.truth.force_N)
-    sample, marker = np.nonzero(on)
-    u, stiff = np.zeros((len(sample), 9)), np.zeros(len(sample))
-    start = np.searchsorted(sample, np.arange(samples.count + 1))
-    for s in np.unique(sample):
-        rows = slice(start[s], start[s + 1])
-        koi = marker[rows]
-        apparent = model.pressed_mm(samples.shift_px[s], koi)
+    u, stiff = np.zeros((len(nodes.sample), 9)), np.zeros(len(nodes.sample))
+    for rows, shift_px, koi in nodes.by_sample():
+        apparent = model.pressed_mm(shift_px, koi)
         u[rows] = network_features(apparent, model.neighbours, model.height_z_mm, koi)[:, :9]
-        stiff[rows] = model.base_forces(base, samples.shift_px[s], apparent, koi)
+        stiff[rows] = model.base_forces(base, shift_px, apparent, koi)
     return KeyNodeRows(
-        sample=sample,
-        marker=marker,
+        sample=nodes.sample,
+        marker=nodes.marker,
         u_mm=u,
         height_z_mm=model.height_z_mm,
         stiffness_force_N=stiff,
-        force_N=truth[sample, marker],
+        force_N=nodes.force_N,
         step_mm=_step(noise_px * size[size > 0.0], 2.0**-13),
         step_N=_step(force_noise, 2.0**-7),
     )

@@ -17,7 +17,7 @@ from phytac_decoder.estimation.estimators import (
     NOISE_LEAST_px,
     TIP_SD_px,
 )
-from phytac_design.datasets.samples import FAILED, Samples, key_nodes
+from phytac_design.datasets.samples import FAILED, Samples, pressed_nodes
 from phytac_design.training.join_datasets import select_samples
 from phytac_shapes.arrays import FloatArray
 
@@ -87,7 +87,7 @@ def fit_mechanics(
     """
     few = select_samples(samples, np.arange(min(samples.count, SAMPLES_MAX)))
 
-    if len(key_nodes(model, few, noise_px=model.noise_px).force_N) < NODES_MIN:
+    if len(pressed_nodes(few).sample) < NODES_MIN:
         return CalibratedMechanics(
             model=model,
             modulus=1.0,
@@ -100,9 +100,9 @@ def fit_mechanics(
     def score(spread: float, tip_sd_px: float) -> tuple[float, float]:
         """Mean absolute error, and modulus."""
         tried = replace(_spread_model(model, footprint_px, spread), tip_sd_px=tip_sd_px)
-        rows = key_nodes(tried, few, noise_px=model.noise_px, base="key_nodes")
-        modulus = _modulus(rows.stiffness_force_N, rows.force_N)
-        return float(np.abs(modulus * rows.stiffness_force_N - rows.force_N).mean()), modulus
+        found, truth = _forces(tried, few)
+        modulus = _modulus(found, truth)
+        return float(np.abs(modulus * found - truth).mean()), modulus
 
     best: list[tuple[float, float, float, float]] = []
     for tip_sd_px in TIP_SDS_px:
@@ -131,9 +131,17 @@ def fit_mechanics(
 
 def _error_N(model: ForceModel, samples: Samples) -> float:
     """Mean absolute error of the forces on key nodes; infinite without any."""
-    rows = key_nodes(model, samples, noise_px=model.noise_px, base="key_nodes")
-    off = np.abs(rows.stiffness_force_N - rows.force_N)
-    return float(off.mean()) if len(off) else np.inf
+    found, truth = _forces(model, samples)
+    return float(np.abs(found - truth).mean()) if len(found) else np.inf
+
+
+def _forces(model: ForceModel, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """Forces N (k,) on key nodes by a model, and the true ones."""
+    nodes = pressed_nodes(samples)
+    found = np.zeros(len(nodes.sample))
+    for rows, shift_px, koi in nodes.by_sample():
+        found[rows] = model.key_node_forces(shift_px, koi)
+    return found, nodes.force_N
 
 
 def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredColumns | None:

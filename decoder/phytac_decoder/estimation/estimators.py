@@ -236,8 +236,12 @@ class ForceModel:
     ) -> FloatArray:
         """Return the forces (m,) N on key nodes that a network adds to, of apparent u (n,) mm."""
         if base == "key_nodes":
-            return self._inverse(shift_px, koi, tip_sd_px=self.tip_sd_px)
+            return self.key_node_forces(shift_px, koi)
         return np.asarray(self.stiffness[koi] @ u_mm)
+
+    def key_node_forces(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
+        """Return forces (m,) N on key nodes, whose own shifts count as ``tip_sd_px`` says."""
+        return self._inverse(shift_px, koi, tip_sd_px=self.tip_sd_px)
 
     @cached_property
     def response_px(self) -> FloatArray:
