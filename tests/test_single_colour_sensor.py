@@ -22,6 +22,7 @@ from phytac_design.simulation.dataset import decode_points
 from phytac_design.stages.build import build
 from phytac_shapes.arrays import FloatArray, IntArray
 from tests.designs import of_shape
+from tests.places_alone import places_alone
 from tests.refusals import refused
 
 SHAPE = {"diameter_outer_mm": 50.0, "length_mm": 50.0}
@@ -39,7 +40,8 @@ def dots(paint: str = "white", **tables: Any) -> Design:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("dots") / "x"
-    build(dots(), out, accuracy="draft", only=["report"], progress=lambda _: None)
+    with places_alone():
+        build(dots(), out, accuracy="draft", only=["report"], progress=lambda _: None)
     return out
 
 

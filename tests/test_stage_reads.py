@@ -21,6 +21,13 @@ from phytac_design.layout.markers import Markers
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import build
 from tests.designs import CAMERA, COARSE, changed, tiny
+from tests.places_alone import places_alone
+
+
+@pytest.fixture(autouse=True)
+def _places_alone() -> Iterator[None]:
+    with places_alone():
+        yield
 
 
 def test_every_field_of_the_layout_is_of_one_part() -> None:

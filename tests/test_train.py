@@ -1,7 +1,7 @@
 """Training from data sets: shared out, learnt, written, refused."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,6 +34,7 @@ from phytac_shapes.errors import DesignError
 from tests.decoder.drawn_samples import assert_same, drawn
 from tests.designs import small
 from tests.drawn_presses import meta_of, presses
+from tests.places_alone import places_alone
 from tests.refusals import refused
 
 DESIGN = small(
@@ -47,6 +48,13 @@ SOFTER = 1.25
 """The data's sensor against the decoder's mechanics: what there is to learn."""
 LITTLE = 30
 BUNDLE = ("bundle.json", "bundle.safetensors")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _places_alone() -> Iterator[None]:
+    """Most of the time of ``auto``; how well it decodes is measured in ``tests/decoder``."""
+    with places_alone():
+        yield
 
 
 @pytest.fixture(scope="module")

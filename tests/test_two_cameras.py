@@ -27,6 +27,7 @@ from phytac_design.stages.renders_stage import (
 )
 from phytac_shapes.arrays import ImageArray
 from tests.designs import of_shape
+from tests.places_alone import places_alone
 from tests.refusals import refused
 
 SHAPE = {"diameter_outer_mm": 34.0, "length_mm": 44.0}
@@ -53,7 +54,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for ends in ("near", "both"):
         out[ends] = tmp_path_factory.mktemp(ends) / "x"
         only = STAGES[ends]
-        build(cylinder(ends), out[ends], accuracy="draft", only=only, progress=lambda _: None)
+        with places_alone():
+            build(cylinder(ends), out[ends], accuracy="draft", only=only, progress=lambda _: None)
     return out
 
 
