@@ -23,7 +23,6 @@ from phytac_design.design.spec import CameraSection
 from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.design_review import checkup
 from phytac_design.study.advice import first_design as first_design_module
-from phytac_design.study.advice.design_evaluation import strain_of
 from phytac_design.study.advice.first_design import (
     ERROR_MAX,
     FAMILIES,
@@ -31,6 +30,7 @@ from phytac_design.study.advice.first_design import (
     trip_force_N,
 )
 from phytac_design.study.advice.force_precision import force_sd_N
+from phytac_design.study.search.surrogate import strain_of
 from phytac_design.workflows import switch_feasibility
 from phytac_shapes.errors import DesignError
 from tests.refusals import refused

@@ -106,20 +106,9 @@ def receptor_effect(
     DesignError
         If the tube is thinner or wider, or its hole wider, than the tables go.
     """
+    if unknown := _out_of_range(diameter_over_t, hole_over_diameter):
+        raise DesignError("receptor-stiffness-range", unknown)
     d, q, h = np.broadcast_arrays(diameter_over_t, hole_over_diameter, height_over_t)
-    for label, value, axis in (
-        ("tube diameter over wall thickness", d, DIAMETER_OVER_T),
-        ("hole over tube diameter", q, HOLE_OVER_DIAMETER),
-    ):
-        if not np.all((value >= axis[0] - 1e-9) & (value <= axis[-1] + 1e-9)):
-            got = " … ".join(dict.fromkeys(f"{x:.4g}" for x in (np.min(value), np.max(value))))
-            raise DesignError(
-                "receptor-stiffness-range",
-                f"receptor stiffness: {label} is known from {axis[0]:g} to {axis[-1]:g} (got {got})"
-                "; change receptor diameters or wall thickness, or leave receptors out: press "
-                "--no-receptors, build --set receptors=false",
-            )
-
     low, high = DIAMETER_OVER_T[[0, -1]]
     at = _axes(
         np.clip(d, low, high),
@@ -130,6 +119,24 @@ def receptor_effect(
     points, alike = np.unique(np.stack(at, axis=-1).reshape(-1, 3), axis=0, return_inverse=True)
     membrane, bending = (table(points)[alike].reshape(d.shape) for table in _tables())
     return membrane, bending
+
+
+def _out_of_range(
+    diameter_over_t: FloatArray | float, hole_over_diameter: FloatArray | float
+) -> str:
+    """Say which argument of :func:`receptor_effect` lies beyond the tables; "" if none does."""
+    for label, value, axis in (
+        ("tube diameter over wall thickness", np.asarray(diameter_over_t), DIAMETER_OVER_T),
+        ("hole over tube diameter", np.asarray(hole_over_diameter), HOLE_OVER_DIAMETER),
+    ):
+        if not np.all((value >= axis[0] - 1e-9) & (value <= axis[-1] + 1e-9)):
+            got = " … ".join(dict.fromkeys(f"{x:.4g}" for x in (value.min(), value.max())))
+            return (
+                f"receptor stiffness: {label} is known from {axis[0]:g} to {axis[-1]:g} (got {got})"
+                "; change receptor diameters or wall thickness, or leave receptors out: press "
+                "--no-receptors, build --set receptors=false"
+            )
+    return ""
 
 
 def _axes(d: FloatArray, q: FloatArray, h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -261,11 +268,7 @@ def unknown_receptors(design: Design) -> str:
     """Why the stiffness of a design's receptors is not known; "" where it is."""
     thickness, receptor = design.wall.thickness_mm, design.receptor
     diameter = np.array([receptor.diameter_outer_mm, receptor.diameter_tube_mm])
-    try:
-        receptor_effect(diameter / thickness, receptor.diameter_hole_mm / diameter, 0.0)
-    except DesignError as error:
-        return str(error)
-    return ""
+    return _out_of_range(diameter / thickness, receptor.diameter_hole_mm / diameter)
 
 
 def sensor_model(

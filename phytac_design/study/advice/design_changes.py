@@ -18,10 +18,10 @@ from phytac_design.study.advice.design_evaluation import (
     LIMITS,
     EvaluatedDesign,
     faults_of,
-    strain_of,
 )
 from phytac_design.study.advice.design_variables import COUNT, ROW, SIZE, DesignVariable
 from phytac_design.study.advice.local_model import LocalModel, Sensitivity
+from phytac_design.study.search.surrogate import strain_of
 from phytac_shapes.errors import DesignError, PhytacError
 
 GOALS = ("force_middle_N", "force_worst_N", "gap_px", "load_gap_px")

@@ -19,7 +19,7 @@ from phytac_design.stages.build import run_stages
 from phytac_design.stages.loaded_views_stage import UNDERLOAD
 from phytac_design.stages.resolution_stage import RESOLUTION, RIM_SHARE
 from phytac_design.study.search.fidelity_levels import views_at_rest
-from phytac_design.study.search.surrogate import FORCE_N, predict
+from phytac_design.study.search.surrogate import FORCE_N, strain_of
 from phytac_design.workflows.design_check import UNREADABLE_SHARE_MAX
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
@@ -153,12 +153,6 @@ def force_figures(force_N: FloatArray, middle: BoolArray) -> dict[str, float]:
         "force_p90_N": float(np.percentile(force_N, 90.0)),
         "force_worst_N": float(force_N.max()),
     }
-
-
-def strain_of(sensor: Sensor) -> float:
-    """Greatest bending strain at the greatest force, closed form, as in the level ``sampled``."""
-    seen = np.ones(sensor.markers.count, dtype=np.bool_)
-    return float(predict(sensor, sensor.cameras, seen).strain.max())
 
 
 def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> EvaluatedDesign:

@@ -9,18 +9,17 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.shell_materials import SHELL_MATERIALS, ShellMaterial
 from phytac_design.design.spec import Design
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.shell.receptor_stiffness import DIAMETER_OVER_T
 from phytac_design.rules.check import check_design
 from phytac_design.simulation.scenario.linear_error import NEARLY_LINEAR, linear_error
 from phytac_design.study.advice.design_variables import with_fields
 from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_design.study.advice.quick_repair import seen_at_rest
-from phytac_design.study.search.surrogate import predict
+from phytac_design.study.search.surrogate import strain_of
 from phytac_shapes.arrays import BoolArray
 from phytac_shapes.errors import DesignError, NumericalError, PhytacError
 
@@ -276,10 +275,10 @@ def _bearing_walls(
             yield material, own, linear
 
 
-def _linear_error(design: Design) -> float:
+def _linear_error(sensor: Sensor) -> float:
     """Error of linear theory at the largest force; infinite where that has no solution."""
     try:
-        return linear_error(check_design(design), None)
+        return linear_error(sensor, None)
     except NumericalError:
         return float("inf")
 
@@ -320,7 +319,10 @@ def with_thinnest_wall(
 def _with_wall(
     design: Design, material: ShellMaterial, thickness_mm: float
 ) -> tuple[Design, bool, float]:
-    """The design with a wall, whether that bears the largest force, and linear theory's error."""
+    """The design with a wall, whether that bears the largest force, and linear theory's error.
+
+    The error is infinite where the strain is too large already.
+    """
     own = with_fields(
         design,
         {
@@ -330,7 +332,5 @@ def _with_wall(
         },
     )
     sensor = check_design(own)
-    found = predict(sensor, sensor.cameras, np.ones(sensor.markers.count, dtype=np.bool_))
-    error = _linear_error(own)
-    bears = found.strain.max() <= material.strain_max and error <= LINEAR_ERROR_MAX
-    return own, bool(bears), error
+    error = _linear_error(sensor) if strain_of(sensor) <= material.strain_max else float("inf")
+    return own, error <= LINEAR_ERROR_MAX, error

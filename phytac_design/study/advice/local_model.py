@@ -45,11 +45,10 @@ from phytac_design.study.advice.design_evaluation import (
     EvaluatedDesign,
     force_figures,
     middle_of,
-    strain_of,
 )
 from phytac_design.study.advice.design_variables import ROW, DesignVariable
 from phytac_design.study.search.fidelity_levels import band_rings
-from phytac_design.study.search.surrogate import FORCE_N
+from phytac_design.study.search.surrogate import FORCE_N, strain_of
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import PhytacError
 

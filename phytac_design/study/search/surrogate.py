@@ -317,8 +317,61 @@ def spread_out(x: FloatArray, v: FloatArray, count: int) -> IntArray:
     )
 
 
+class _Deflections:
+    """Deflections of a sensor's wall by the closed form, along and around its unrolled face."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.sensor, self.unrolled = sensor, MetricLengths(sensor.surface)
+        self.wall = wall_of(sensor.design, sensor.markers, sensor.surface.area_mm2())
+        self.x_mm = self.unrolled.x_mm(sensor.markers.uv)
+        self.along = waves(self.unrolled.length, closed=False).at(self.x_mm)
+
+    def sources(self, count: int) -> IntArray:
+        """Ids of at most ``count`` receptors, from the near end to the far one."""
+        return spread_out(self.x_mm, self.sensor.markers.uv[:, 1], count)
+
+    def dents(self, uv: FloatArray, radius_mm: FloatArray) -> list[Deflection]:
+        """Deflection by a newton on each of discs (s,)."""
+        each = zip(uv, radius_mm, self.unrolled.at(uv), self.unrolled.x_mm(uv), strict=True)
+        return [
+            deflection_under_disc(
+                self.wall,
+                flat,
+                float(x),
+                float(self.unrolled.y_mm(place[None], place)[0]),
+                float(radius),
+            )
+            for place, radius, flat, x in each
+        ]
+
+    def greatest(self, sources: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Deflection mm and strain at receptors (s,) under the greatest force, least patch."""
+        training, markers = self.sensor.design.training, self.sensor.markers
+        deepest, strains = [], []
+        least = np.full(len(sources), training.patch_radius_min_mm)
+        for marker, dent in zip(sources, self.dents(markers.uv[sources], least), strict=True):
+            place = markers.uv[marker]
+            y = self.unrolled.y_mm(place[None], place)
+            here = tuple(each[[marker]] for each in self.along)
+            deepest.append(float(dent.motion(here, y)[0, 0]))
+            curvature = dent.curvature(float(self.x_mm[marker]), float(y[0]))
+            strains.append(self.wall.thickness / 2.0 * curvature)
+        force = training.force_max_N
+        return force * np.array(deepest), force * np.array(strains)
+
+
+SOURCES = 5
+"""Receptors at which a design is predicted."""
+
+
+def strain_of(sensor: Sensor) -> float:
+    """Greatest bending strain at the greatest force, as :func:`predict` finds it, alone."""
+    shell = _Deflections(sensor)
+    return float(shell.greatest(shell.sources(SOURCES))[1].max())
+
+
 def predict(
-    sensor: Sensor, cameras: tuple[Camera, ...], seen: BoolArray, *, sources: int = 5
+    sensor: Sensor, cameras: tuple[Camera, ...], seen: BoolArray, *, sources: int = SOURCES
 ) -> Predicted:
     """Cramér-Rao bound and deflections of a design by the closed form.
 
@@ -331,29 +384,17 @@ def predict(
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training, camera = design.training, design.camera
-    wall = wall_of(design, markers, surface.area_mm2())
-    unrolled = MetricLengths(surface)
-    x = unrolled.x_mm(markers.uv)
-    along = waves(unrolled.length, closed=False).at(x)
-    chosen = spread_out(x, markers.uv[:, 1], sources)
+    shell = _Deflections(sensor)
+    chosen = shell.sources(sources)
     slopes = np.where(seen[:, None, None], stack_views(cameras, markers.tip_mm), 0.0)
     slopes = np.nan_to_num(slopes)
     # (n, 2c, 3): px per mm of motion and per unit of slope.
     image = slopes @ tip_basis(sensor)
 
-    def dents(uv: FloatArray, radius_mm: FloatArray) -> list[Deflection]:
-        each = zip(uv, radius_mm, unrolled.at(uv), unrolled.x_mm(uv), strict=True)
-        return [
-            deflection_under_disc(
-                wall, flat, float(x), float(unrolled.y_mm(place[None], place)[0]), float(radius)
-            )
-            for place, radius, flat, x in each
-        ]
-
     def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
         motions = [
-            dent.motion(along, unrolled.y_mm(markers.uv, place))
-            for place, dent in zip(uv, dents(uv, radius_mm), strict=True)
+            dent.motion(shell.along, shell.unrolled.y_mm(markers.uv, place))
+            for place, dent in zip(uv, shell.dents(uv, radius_mm), strict=True)
         ]
         return np.asarray(np.einsum("nij,snj->sni", image, np.stack(motions)))
 
@@ -366,15 +407,5 @@ def predict(
         training.patch_radius_max_mm,
     )
     bound = signals.bound(FORCE_N, noise_px=camera.noise_centroid_px, prior=prior)
-    deepest, strains = [], []
-    least = np.full(len(chosen), training.patch_radius_min_mm)
-    for marker, dent in zip(chosen, dents(markers.uv[chosen], least), strict=True):
-        place = markers.uv[marker]
-        y = unrolled.y_mm(place[None], place)
-        here = tuple(each[[marker]] for each in along)
-        deepest.append(float(dent.motion(here, y)[0, 0]))
-        strains.append(wall.thickness / 2.0 * dent.curvature(float(x[marker]), float(y[0])))
-    force = training.force_max_N
-    return Predicted(
-        bound=bound, dent_mm=force * np.array(deepest), strain=force * np.array(strains)
-    )
+    dent_mm, strain = shell.greatest(chosen)
+    return Predicted(bound=bound, dent_mm=dent_mm, strain=strain)
