@@ -117,8 +117,8 @@ def receptor_effect(
     )
     # Receptors of a row are alike, and the interpolation takes each point by itself.
     points, alike = np.unique(np.stack(at, axis=-1).reshape(-1, 3), axis=0, return_inverse=True)
-    membrane, bending = (table(points)[alike].reshape(d.shape) for table in _tables())
-    return membrane, bending
+    membrane, bending = _tables()(points)[alike].T
+    return membrane.reshape(d.shape), bending.reshape(d.shape)
 
 
 def _out_of_range(
@@ -145,15 +145,13 @@ def _axes(d: FloatArray, q: FloatArray, h: FloatArray) -> tuple[FloatArray, Floa
 
 
 @cache
-def _tables() -> tuple[Callable[[FloatArray], FloatArray], ...]:
-    """Interpolated effects on membrane and bending stiffness, of :func:`_axes` (n, 3)."""
+def _tables() -> Callable[[FloatArray], FloatArray]:
+    """Interpolated effects (n, 2) on membrane and bending stiffness, of :func:`_axes` (n, 3)."""
     from scipy.interpolate import RegularGridInterpolator
 
     grid = _axes(DIAMETER_OVER_T, HOLE_OVER_DIAMETER, HEIGHT_OVER_T)
-    return tuple(
-        RegularGridInterpolator(grid, table, method="pchip")
-        for table in (EFFECT_MEMBRANE, EFFECT_BENDING)
-    )
+    both = np.stack([EFFECT_MEMBRANE, EFFECT_BENDING], axis=-1)
+    return RegularGridInterpolator(grid, both, method="pchip")  # type: ignore[no-any-return]
 
 
 def mixture(share: FloatArray, effect: FloatArray, mixing: float) -> FloatArray:
