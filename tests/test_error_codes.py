@@ -2,6 +2,7 @@
 
 import ast
 import copy
+import gc
 import pickle
 import re
 from collections import defaultdict
@@ -21,11 +22,23 @@ FOLDERS = ("shapes", "decoder", "phytac_design", "verification", "benchmarks", "
 KEBAB = re.compile(r"[a-z0-9]+(-[a-z0-9]+){1,3}")
 
 
-@cache
+ERRORS = re.compile(r"Error[()]|refuse\(")
+"""What a module holds that makes errors, or derives one; ruff has all names end in ``Error``."""
+
+
 def walked() -> dict[Path, list[ast.AST]]:
     """Nodes of the syntax trees of all modules that may raise errors."""
     paths = (path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py")))
-    return {path: list(ast.walk(ast.parse(path.read_text(encoding="utf-8")))) for path in paths}
+    texts = {path: path.read_text(encoding="utf-8") for path in paths}
+    gc.disable()  # it would go through all nodes again and again
+    try:
+        return {
+            path: list(ast.walk(ast.parse(text)))
+            for path, text in texts.items()
+            if ERRORS.search(text)
+        }
+    finally:
+        gc.enable()
 
 
 def name_of(node: ast.expr) -> str:
@@ -33,10 +46,10 @@ def name_of(node: ast.expr) -> str:
     return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", "")
 
 
-def family() -> set[str]:
+def family(trees: dict[Path, list[ast.AST]]) -> set[str]:
     """Names of ``PhytacError`` and all its subclasses."""
     out = {"PhytacError"}
-    classes = [node for nodes in walked().values() for node in nodes if type(node) is ast.ClassDef]
+    classes = [node for nodes in trees.values() for node in nodes if type(node) is ast.ClassDef]
     for _ in range(3):  # subclasses of subclasses
         out |= {node.name for node in classes if out & {name_of(base) for base in node.bases}}
     return out
@@ -50,8 +63,9 @@ def code_arguments() -> list[tuple[str, str, ast.expr]]:
 
 def find_code_arguments() -> Iterator[tuple[str, str, ast.expr]]:
     """Place, class and argument ``code`` of every error that is made, directly or by a helper."""
-    errors = family()
-    for path, nodes in walked().items():
+    trees = walked()
+    errors = family(trees)
+    for path, nodes in trees.items():
         # Functions of this module that hand their parameter ``code`` to an error.
         helpers: dict[str, tuple[str, int]] = {"refuse": ("DesignError", 0)}
         for node in nodes:
