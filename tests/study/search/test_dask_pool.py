@@ -11,9 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
@@ -23,6 +21,7 @@ from phytac_design.study.search.process_pool import ProcessPool
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.study_folder import RESULTS, parquet_library
 from phytac_design.study.search.successive_halving import FAILED, OK, Outcome, SerialPool, Task
+from tests.study.search.pool_tasks import Bad, Deadly, Fine, Listening, made
 from tests.study.search.studies import space_of, tiny
 
 dask = pytest.importorskip("dask")
@@ -56,39 +55,6 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]
     out = tmp_path_factory.mktemp("expected")
     run_study(study(), space_of(study()), out, kind="sweep")
     return rows(out)
-
-
-class Bad(Task):
-    """A task whose program is broken."""
-
-    def run(self) -> dict[str, Any]:
-        raise RuntimeError("broken")
-
-
-def made(kind: type[Task], order: int) -> Task:
-    return kind(key=str(order), spec="", params={}, levels=("rules",))
-
-
-class Fine(Task):
-    """A task that comes to nothing, at once."""
-
-    def run(self) -> dict[str, Any]:
-        return asdict(Outcome())
-
-
-class Deadly(Task):
-    """A task that ends its process."""
-
-    def run(self) -> dict[str, Any]:
-        os._exit(9)
-
-
-class Listening(Task):
-    """A task that reports the sockets of its process that others could connect to."""
-
-    def run(self) -> dict[str, Any]:
-        kinds = [link.status for link in psutil.Process().net_connections(kind="all")]
-        return asdict(Outcome(reason=f"{os.getpid()} {kinds}"))
 
 
 def check_pool(pool: SerialPool, expected: list[dict[str, object]], folder: Path, pid: int) -> None:
