@@ -17,7 +17,6 @@ from phytac_design.engine.stage import graphics_libraries
 from phytac_design.stages.build import BuildResult, build
 from tests.coarse_switches import coarse_bowls
 from tests.designs import small
-from tests.places_alone import places_alone
 
 
 @pytest.fixture(autouse=True)
@@ -37,12 +36,9 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None) -> BuildResult:
-    """The small design, built whole at draft accuracy, with switches of the coarse mesh.
-
-    Its held-out samples are decoded without the average over places.
-    """
+    """The small design, built whole at draft accuracy, with switches of the coarse mesh."""
     out = tmp_path_factory.mktemp("exports") / "small"
-    with coarse_bowls(), places_alone():
+    with coarse_bowls():
         return build(small(), out, accuracy="draft", progress=lambda _: None)
 
 

@@ -25,7 +25,9 @@ from tests.places_alone import places_alone
 
 
 @pytest.fixture(autouse=True)
-def _places_alone() -> Iterator[None]:
+def _places_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """In a cache of its own: no other test takes what is decoded so for the exact result."""
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
     with places_alone():
         yield
 
