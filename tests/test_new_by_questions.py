@@ -247,3 +247,12 @@ def test_a_rejected_wall_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> N
     tough = made("hemisphere", most_N=8.0, material=SHELL_MATERIALS[0])
     assert tough.wall.thickness_mm <= 1.0
     assert force_sd_N(tough) > ERROR_MAX * 8.0
+
+
+def test_a_wall_whose_strain_is_too_large_does_not_bear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However nearly linear it is."""
+    monkeypatch.setattr(first_design_module, "strain_of", lambda _: 0.5)
+    monkeypatch.setattr(first_design_module, "linear_error", lambda *_: 0.0)
+    design = load_design("cylinder40")
+    found = first_design_module._with_wall(design, SHELL_MATERIALS[0], design.wall.thickness_mm)
+    assert found[1:] == (False, float("inf"))
