@@ -73,4 +73,4 @@ def test_switches_that_cannot_be_made_stop_the_build_unless_forced(
     only = ["printing", "bench"]
     build(design, tmp_path / "x", accuracy=COARSE, only=only, force=True, progress=quiet)
     made = {path.name for path in (tmp_path / "x").iterdir()}
-    assert made == {"design.toml", "manifest.json", "shell", "views"}
+    assert made == {"design.toml", "manifest.json", "shell"}
