@@ -1,6 +1,7 @@
 """Frames sampled finely where light changes are those that are sampled finely everywhere."""
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -12,7 +13,14 @@ from phytac_design.core.threads import THREADS
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics import frame_renderer
 from phytac_design.optics.edge_sampling import mark_edges
-from phytac_design.optics.frame_renderer import SAMPLES, render_frame, render_light, sample_views
+from phytac_design.optics.frame_renderer import (
+    SAMPLES,
+    add_noise,
+    render_frame,
+    render_light,
+    sample_views,
+)
+from phytac_design.optics.raster import paint_alone, project_scene, rasterise
 from phytac_design.optics.render_scene import RenderScene
 from phytac_design.simulation.imaging.nominal_view import expected_views, vision_bundle
 from phytac_shapes.arrays import FloatArray
@@ -50,6 +58,32 @@ def test_light_is_that_of_fine_samples_everywhere(
     assert np.percentile(off, 99.9) < 0.02
     # A sliver between four samples of a pixel, beside nothing else, is the worst that is missed.
     assert off.max() < 0.15
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "bent"])
+def test_hidden_faces_of_closed_bodies_are_left_out_and_not_missed(few: Bench, kind: str) -> None:
+    whole, camera = few.scene(), lens_of(few, kind)
+    assert whole.closed
+    each = replace(whole, closed=False)
+    pieces = [len(project_scene(scene, camera).source) for scene in (whole, each)]
+    assert pieces[0] < 0.95 * pieces[1]
+    maps = [rasterise(scene, camera) for scene in (whole, each)]
+    np.testing.assert_array_equal(maps[0].part, maps[1].part)
+    np.testing.assert_array_equal(paint_alone(whole, camera), paint_alone(each, camera))
+    light = [render_light(scene, camera) for scene in (whole, each)]
+    assert np.abs(light[0] - light[1]).max() < 0.01
+
+
+@pytest.mark.parametrize("std", [0.4, 2.0, 12.0])
+def test_noise_is_normal_and_rounded(std: float) -> None:
+    grey = np.full((400, 500, 3), 128, dtype=np.uint8)
+    noise = add_noise(grey, std, np.random.default_rng(0)).astype(np.float64) - 128.0
+    level = np.arange(-3, 4)
+    cdf = np.vectorize(NormalDist(0.0, std).cdf)
+    wanted = cdf(level + 0.5) - cdf(level - 0.5)
+    found = [(noise == value).mean() for value in level]
+    np.testing.assert_allclose(found, wanted, atol=3e-3)
+    assert abs(np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1]) < 0.01
 
 
 def test_centroids_are_exact_to_a_few_thousandths_of_a_pixel(few: Bench) -> None:
