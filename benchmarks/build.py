@@ -67,10 +67,9 @@ def memory_MB(parent: int) -> float:
     family, total = {parent}, 0.0
     for folder in sorted(Path("/proc").glob("[0-9]*"), key=lambda each: int(each.name)):
         with suppress(OSError, IndexError):
-            own, above = (
-                int(folder.name),
-                int((folder / "stat").read_text().split(")")[-1].split()[1]),
-            )
+            own = int(folder.name)
+            # After the name in brackets come state and parent.
+            above = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
             if own not in family and above not in family:
                 continue
             family.add(own)

@@ -272,7 +272,8 @@ class TrainingSection(Section):
     samples: int = Field(598, ge=20, le=100000)
     """Contacts to learn from; split 8.5 : 0.5 : 1 as in the paper."""
     samples_test: int = Field(1000, ge=10, le=100000)
-    """Further contacts, never trained on, to judge with."""
+    """Further samples, never trained on, to judge with. A build decodes at most five for each
+    of its rendered frames (`--set frames=N`)."""
     multi_contact: float = Field(0.48, ge=0.0, le=1.0)
     """Share of samples with more than one contact."""
     force_min_N: float = Field(0.5, gt=0.0, le=1e4)

@@ -61,8 +61,8 @@ class AverageSettings:
     """Iterations at a node; they start where a normal distribution has its mean. With a third,
     forces change by 0.03 standard deviations at most on a film of cylinder60."""
     step_tolerance: float = 0.05
-    """Size of a step, see ``FitSettings.step_tolerance``, after which none follows: what is left is
-    about its square."""
+    """Size of a step, see ``FitSettings.step_tolerance``, after which none follows: the error that
+    remains is about its square."""
     held_mm: float = 1e-4
     """Standard deviation of a centre that is held."""
     coupling_min: float = 0.1

@@ -151,7 +151,8 @@ def _tables() -> Callable[[FloatArray], FloatArray]:
 
     grid = _axes(DIAMETER_OVER_T, HOLE_OVER_DIAMETER, HEIGHT_OVER_T)
     both = np.stack([EFFECT_MEMBRANE, EFFECT_BENDING], axis=-1)
-    return RegularGridInterpolator(grid, both, method="pchip")  # type: ignore[no-any-return]
+    table: Callable[[FloatArray], FloatArray] = RegularGridInterpolator(grid, both, method="pchip")
+    return table
 
 
 def mixture(share: FloatArray, effect: FloatArray, mixing: float) -> FloatArray:
