@@ -23,7 +23,7 @@ from phytac_decoder.mechanics.response_table import (
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.compliance import turns_of
+from phytac_design.mechanics.shell.compliance import column_turn, turns_of
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.flat_walls import add_membrane_walls
@@ -32,7 +32,12 @@ from phytac_design.simulation.interaction_tables import (
     InteractionSolver,
     pair_spacing_mm,
 )
-from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
+from phytac_design.simulation.pressed_series import (
+    DiscResponse,
+    ExtrapolatedResponse,
+    ImageResponse,
+    MeshPair,
+)
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
@@ -247,12 +252,15 @@ def tabulate_responses(
     spacing_mm: float,
     orders: int,
     near: NearScene = everywhere,
+    pair: MeshPair | None = None,
     bytes_max: float = 400e6,
     progress: Callable[[str], None] = lambda _: None,
 ) -> TabulatedResponse:
     """Tables over the whole surface, or a part of it.
 
     Where the shell repeats itself around (checked), the places of one column are solved and turned.
+    Higher powers of the force are those of ``mesh``, of a shell that is as much softer as its first
+    power is too small; force along the surface is on ``mesh`` alone.
 
     Parameters
     ----------
@@ -268,6 +276,8 @@ def tabulate_responses(
         Powers of the force: 1 (linear theory) to 5; see :data:`.pressed_series.LARGE_SOLVED_ABOVE`.
     near : NearScene, optional
         Which places are wanted; all without it.
+    pair : MeshPair, optional
+        Two meshes that the first power of the force is extrapolated from; that of ``mesh`` without.
     bytes_max : float
         Largest tables; places stand wider apart where they would be larger.
 
@@ -283,7 +293,10 @@ def tabulate_responses(
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     columns = markers.lattice.columns if markers.lattice else 1
     sectors, turn = turns_of(model, mesh, columns)
-    if turn is not None and not _markers_turn(markers, turn, columns // sectors):
+    even = turn is not None and _markers_turn(markers, turn, columns // sectors)
+    if pair is not None:
+        even &= all(column_turn(each, on, sectors) is not None for on, each in pair)
+    if not even:
         sectors, turn = 1, None
     least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / bytes_max)
     spacing = max(spacing_mm, float(least))
@@ -297,8 +310,9 @@ def tabulate_responses(
         progress=progress,
     )
     first = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
+    pressed = first if pair is None else ExtrapolatedResponse(design, surface, markers, pair)
     places, uv, solves = grid.table(
-        spacing, 1, lambda at: first.motions(at, radius), lambda motions: see.powers(motions, NONE)
+        spacing, 1, lambda at: pressed.motions(at, radius), lambda each: see.powers(each, NONE)
     )
 
     def shear(apart_mm: float) -> ResponseTable:
@@ -336,7 +350,10 @@ def tabulate_responses(
     higher, _, bent = grid.table(
         apart, orders, lambda at: shell.motions(at, radius), powers, what=", large displacements"
     )
-    more = interpolate_responses(higher, places.point_mm)[:, 1:].astype(np.float32)
+    rows, plain = interpolate_responses(higher, places.point_mm), places.shift_px[:, 0]
+    softer = np.sum(plain * rows[:, 0], axis=1) / np.sum(rows[:, 0] ** 2, axis=1)
+    factor = np.power(softer[:, None], np.arange(2.0, orders + 1.0))
+    more = (factor[:, :, None] * rows[:, 1:]).astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
     places = replace(
         places,

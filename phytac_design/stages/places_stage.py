@@ -7,6 +7,7 @@ from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_locator import response_arrays, response_from_arrays
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.simulation.cramer_rao import cell_prior
+from phytac_design.simulation.pressed_series import MeshPair
 from phytac_design.simulation.response_tables import (
     everywhere,
     place_spacing_mm,
@@ -20,6 +21,32 @@ from phytac_design.stages.response_stage import (
     decoder_shell,
     image_response_of,
 )
+from phytac_shapes.errors import DesignError
+
+EXTRAPOLATED_MAX = 50_000
+"""Markers times squared elements a pitch, up to which tables are extrapolated from a mesh: it has
+about half as many elements, and takes less than ten seconds."""
+
+
+def mesh_pair(context: Context) -> MeshPair | None:
+    """Two meshes of the decoder's shell that linear motion is extrapolated from.
+
+    With twice the elements a pitch of the setting, or 6, and with half of that, or 4: odd numbers
+    do not divide receptors alike, and with 2 a wall may be 24 % too stiff, from which nothing can
+    be extrapolated. None for coarse settings and for large shells.
+    """
+    refine = context.accuracy.refine
+    if refine < 3:
+        return None
+    for fine in (4 * (refine // 2), 6):
+        if fine >= 6 and context.markers.count * fine**2 <= EXTRAPOLATED_MAX:
+            try:
+                pair = fine, max(4, 2 * -(-fine // 4))
+                finer, coarser = (decoder_shell(context, level)[:2] for level in pair)
+            except DesignError:  # no mesh of that size holds the markers
+                continue
+            return finer, coarser
+    return None
 
 
 def run_places(context: Context, folder: Path) -> None:
@@ -36,6 +63,7 @@ def run_places(context: Context, folder: Path) -> None:
         spacing_mm=place_spacing_mm(context.surface, accuracy.place_share, radius),
         orders=accuracy.place_orders,
         near=scope.near if scope else everywhere,
+        pair=mesh_pair(context),
         progress=context.progress,
     )
     places = done.places

@@ -50,14 +50,19 @@ def image_response_of(context: Context) -> ImageResponse:
     return ImageResponse(readers_of(context), context.markers.mid_mm, arms_mm(context), slope)
 
 
-def decoder_shell(context: Context) -> tuple[ShellMesh, ShellModel, bool]:
-    """Mesh and model of the decoder's own shell, and whether it has its receptors' stiffness."""
+def decoder_shell(
+    context: Context, refine: int | None = None
+) -> tuple[ShellMesh, ShellModel, bool]:
+    """Mesh and model of the decoder's own shell, and whether it has its receptors' stiffness.
+
+    ``refine`` replaces the setting.
+    """
     design, markers = context.design, context.markers
     mesh = marker_mesh(
         context.surface,
         markers,
         thickness_mm=design.wall.thickness_mm,
-        refine=context.accuracy.refine,
+        refine=refine or context.accuracy.refine,
     )
     receptors = context.accuracy.receptors and not unknown_receptors(design)
     return mesh, sensor_model(design, markers, mesh, receptors=receptors), receptors

@@ -12,9 +12,10 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
 from phytac_design.layout.sensor import Sensor
-from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation import interaction_tables, response_tables
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.interaction_tables import (
@@ -25,6 +26,7 @@ from phytac_design.simulation.interaction_tables import (
 from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_design.simulation.response_tables import (
+    NONE,
     TabulatedResponse,
     interpolate_responses,
     place_spacing_mm,
@@ -264,6 +266,36 @@ def test_images_bend_as_the_lens_and_the_arms_do() -> None:
     ends = [SEE.shift(a * one + b * two) for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]
     np.testing.assert_allclose(predicted, (ends[0] + ends[1] - ends[2] - ends[3]) / 4.0, atol=2e-4)
     assert np.abs(predicted).max() > 0.01
+
+
+def shell_of(refine: int) -> tuple[ShellMesh, ShellModel]:
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=refine)
+    return mesh, sensor_model(DESIGN, MARKERS, mesh, receptors=True)
+
+
+def test_the_first_power_is_extrapolated_from_two_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against a mesh of twelve elements a pitch, everywhere and beside rims."""
+    # Tables of pairs are of no interest here.
+    monkeypatch.setattr(response_tables, "SETTINGS", InteractionSettings(elements_max=0))
+    pair = shell_of(6), shell_of(4)
+    plain, done = (made(4, spacing_mm=12.0, orders=2, pair=each) for each in (None, pair))
+    assert done.solves == plain.solves < len(plain.places.point_mm)
+    uv = SURFACE.chart(plain.places.point_mm)
+    some = np.arange(0, len(uv), 15)
+    mesh, model = shell_of(12)
+    fine = DiscResponse(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=1)
+    rows = [SEE.powers(one, NONE)[0] for one in fine.motions(uv[some], plain.places.radius_mm)]
+    before, after = (
+        np.array([off(each.places.shift_px[k, 0], row) for k, row in zip(some, rows, strict=True)])
+        for each in (plain, done)
+    )
+    assert before.mean() > 3.0 * after.mean()
+    assert (after < 0.5 * before).all()
+    # Higher powers are those of a shell that is softer by as much.
+    first, more = (each.places.shift_px[:, :2].astype(float) for each in (plain, done))
+    softer = np.sum(first[:, 0] * more[:, 0], axis=1) / np.sum(first[:, 0] ** 2, axis=1)
+    assert softer.min() > 1.01
+    np.testing.assert_allclose(more[:, 1], softer[:, None] ** 2 * first[:, 1], rtol=0.02, atol=1e-3)
 
 
 def test_linear_theory_alone_is_the_first_power() -> None:
