@@ -1,13 +1,17 @@
 #!/bin/sh
 # System packages: what rendering needs, and what the tests check against. Installs them with root
 # or sudo; without either it names what is missing and goes on: pictures then come from our own
-# renderer, and tests against other programs are skipped with that reason.
+# renderer, and tests against other programs are skipped with that reason. With the word `venv`,
+# only what $PYTHON needs to make a virtual environment.
 set -u
-python=${PYTHON:-python3}
-venv=""
-"$python" -c "import ensurepip" >/dev/null 2>&1 || venv="$(basename "$python")-venv"
-needed="$venv libegl1 libgl1 libgl1-mesa-dri libxrender1 libglu1-mesa libxcursor1 libxinerama1 libxft2"
+needed="libegl1 libgl1 libgl1-mesa-dri libxrender1 libglu1-mesa libxcursor1 libxinerama1 libxft2"
 checkers="calculix-ccx admesh poppler-utils"
+if [ "${1:-}" = venv ]; then
+    python=${PYTHON:-python3}
+    "$python" -c "import ensurepip" >/dev/null 2>&1 && exit 0
+    needed="$(basename "$python")-venv"
+    checkers=""
+fi
 missing=""
 for package in $needed $checkers; do
     state=$(dpkg-query -W -f='${Status}' "$package" 2>/dev/null) || state=""
@@ -18,7 +22,7 @@ for package in $needed $checkers; do
 done
 # Any browser of the kind does for tests of the pages; not every Ubuntu has Debian's package.
 browser=""
-command -v chromium >/dev/null 2>&1 || command -v chromium-browser >/dev/null 2>&1 ||
+[ "${1:-}" = venv ] || command -v chromium >/dev/null 2>&1 || command -v chromium-browser >/dev/null 2>&1 ||
     command -v google-chrome >/dev/null 2>&1 || browser=" chromium"
 [ -z "$missing$browser" ] && exit 0
 if ! command -v apt-get >/dev/null 2>&1; then
