@@ -1,7 +1,9 @@
 """A built small sensor, made once for the whole run, in a cache of its own."""
 
+import fcntl
 import os
 import signal
+from hashlib import sha256
 
 # As the command line does, before numpy loads (see ``phytac_design.cli.app``).
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -10,8 +12,11 @@ os.environ.setdefault("PHYTAC_THREADS", "1")
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.stages.build import BuildResult, build
@@ -32,6 +37,25 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     cache = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
     cache.mkdir(exist_ok=True)
     pytest.MonkeyPatch().setenv("PHYTAC_CACHE", str(cache))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _kernels_are_compiled_once(own_cache: None) -> Iterator[None]:
+    """Processes wait for the one that compiles a kernel, and load what it has kept."""
+    exact = Dispatcher.compile
+    cache = Path(os.environ["PHYTAC_CACHE"])
+
+    def compiled(dispatcher: Any, signature: Any) -> Any:
+        kernel = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__} {signature}"
+        name = f"{sha256(kernel.encode()).hexdigest()[:16]}.kernel"
+        # Numba's own lock comes first in every thread: two locks in two orders would be a deadlock.
+        with global_compiler_lock, (cache / name).open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            return exact(dispatcher, signature)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Dispatcher, "compile", compiled)
+        yield
 
 
 @pytest.fixture(scope="session")
