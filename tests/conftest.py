@@ -3,9 +3,17 @@
 import fcntl
 import os
 import signal
+import sys
 from hashlib import sha256
 
+import pytest
+
 # As the command line does, before numpy loads (see ``phytac_design.cli.app``).
+if "numpy" in sys.modules and "OPENBLAS_NUM_THREADS" not in os.environ:
+    # Processes of tests that each use all cores for small matrices take up to ten times as long.
+    raise pytest.UsageError(
+        "a plugin loads numpy too early: -p no:PLUGIN or OPENBLAS_NUM_THREADS=1"
+    )
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Two processes of tests use both cores; more threads only cost their start.
 os.environ.setdefault("PHYTAC_THREADS", "1")
@@ -14,7 +22,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
