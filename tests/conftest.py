@@ -1,6 +1,7 @@
 """A built small sensor, made once for the whole run, in a cache of its own."""
 
 import fcntl
+import gc
 import os
 import signal
 import sys
@@ -17,6 +18,8 @@ if "numpy" in sys.modules and "OPENBLAS_NUM_THREADS" not in os.environ:
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Two processes of tests use both cores; more threads only cost their start.
 os.environ.setdefault("PHYTAC_THREADS", "1")
+# While tests are collected, whatever is imported stays: see ``pytest_runtestloop``.
+gc.disable()
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -105,3 +108,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if item.nodeid.startswith(NEEDS_CAD):
             item.add_marker(reason)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop() -> None:
+    """Look for garbage from here on, and not among what has been imported."""
+    gc.freeze()
+    gc.enable()
