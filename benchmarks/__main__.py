@@ -40,6 +40,7 @@ NAMES = (
     "build",
     "page",
     "docs",
+    "mutation",
 )
 """In the order in which they run; ``install`` needs other interpreters and is run by hand."""
 

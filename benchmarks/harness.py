@@ -138,7 +138,7 @@ def module_of(work: Callable[..., None], name: str) -> str:
     return f"benchmarks.{name}" if work.__module__ == "__main__" else work.__module__
 
 
-def run_parts(name: str, parts: Parts, description: str) -> None:
+def run_parts(name: str, parts: Parts, description: str, **settings: float | bool) -> None:
     """Run a benchmark's parts, ``--parts a,b`` or all; each is written as soon as it is done.
 
     Parameters
@@ -149,11 +149,18 @@ def run_parts(name: str, parts: Parts, description: str) -> None:
         ``parts(quick=...)`` gives the parts by name, in order.
     description : str
         For ``--help``.
+    **settings : float or bool
+        Options of this benchmark alone, with their defaults: further arguments of ``parts``.
     """
     parser = argument_parser(description)
+    for option, default in settings.items():
+        if isinstance(default, bool):
+            parser.add_argument(f"--{option}", action="store_true")
+        else:
+            parser.add_argument(f"--{option}", type=float, default=default)
     parser.add_argument("--parts", default="", help="parts to run, comma separated; all if empty")
     given = parser.parse_args()
-    known = parts(quick=given.quick)
+    known = parts(quick=given.quick, **{option: getattr(given, option) for option in settings})
     chosen = [part for part in given.parts.split(",") if part] or list(known)
     unknown = [part for part in chosen if part not in known]
     if unknown:

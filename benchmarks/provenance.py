@@ -23,6 +23,7 @@ PACKAGES = ("benchmarks", "phytac_decoder", "phytac_design", "phytac_shapes", "v
 COMMANDS = {
     "benchmarks.build": "phytac_design.cli.app",
     "benchmarks.fabrication_switch": "phytac_design.cli.app",
+    "benchmarks.mutation": "phytac_design.cli.app",
     "benchmarks.page": "phytac_design.cli.app",
     "benchmarks.page_studio": "phytac_design.cli.app",
     "benchmarks.stability": "verification",

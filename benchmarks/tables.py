@@ -18,6 +18,7 @@ from benchmarks.provenance import ROOT, is_current
 
 EARLIER = "†"
 BEGIN, END = "<!-- figures: made by python -m benchmarks.tables -->", "<!-- end of figures -->"
+SURVIVORS = Path(__file__).with_name("survivors.toml")
 INTRODUCTION = """# Verification
 
 Made by `python -m benchmarks.tables` from `benchmarks/results/`. Speed is a ratio to a peer in the
