@@ -36,6 +36,7 @@ WORK = ROOT / "build" / "mutation"
 TREE = WORK / "tree"
 TESTS = (
     "tests/decoder",
+    "tests/fabrication/test_switch_set.py",
     "tests/mechanics",
     "tests/optics",
     "tests/simulation",

@@ -1,7 +1,7 @@
 """Mutants of a package: small changes by Cosmic Ray, less those that cannot matter.
 
 Left out by rule: annotations, decorators, what is inside ``raise`` and f-strings (texts for
-people), and operators whose mutants fail wherever they are reached (bits of floating point numbers).
+people), and operators whose mutants fail wherever they are reached (bits of real numbers).
 One mutant is drawn of each place in the source, by a hash, so that the draw needs no list and stays
 as it is where files do not change.
 """

@@ -10,7 +10,9 @@ from scipy.spatial import cKDTree
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.layout.arc import by_area
+from phytac_design.layout.arc import area_elements, by_area
+from phytac_design.layout.heights_along import along_mm, length_mm, middle_mm
+from phytac_design.layout.region_chart import chart_of
 from phytac_design.rules.check import check_design
 from phytac_shapes import REGISTRY, Surface
 from phytac_shapes.errors import DesignError
@@ -261,3 +263,25 @@ def test_a_marker_may_sit_on_the_pole() -> None:
     assert np.allclose(markers.direction[-1], [0.0, 0.0, -1.0])
     # All six around it are its neighbours, each in a sector of its own.
     assert set(markers.neighbours[-1]) == {-1, 0, 1, 2, 3, 4, 5}
+
+
+def test_the_area_of_an_oblique_chart_is_that_of_its_parallelogram() -> None:
+    # The lines of the chart meet at 51 degrees: its metric has a term off the diagonal.
+    points = [[[x + 0.8 * y, y, 0.0] for x in (0.0, 20.0, 40.0, 60.0)] for y in (0.0, 15.0, 30.0)]
+    surface = designed("patch", "straight", shape_more={"points_mm": points}).surface()
+    u, v = (np.linspace(low, high, 9)[:-1] + (high - low) / 16.0 for low, high in surface.domain)
+    cell = np.prod(np.ptp(surface.domain, axis=1)) / 64.0
+    assert area_elements(surface, u, v).sum() * cell == pytest.approx(60.0 * 30.0, rel=1e-9)
+
+
+def test_heights_and_shares_of_a_sheet_count_from_its_near_edge() -> None:
+    # The chart of a sheet begins at minus half of its size, which differs between its axes.
+    _, surface, markers = made("plane", "straight")
+    up, across = markers.uv.T
+    assert length_mm(surface) == pytest.approx(60.0)
+    assert middle_mm(surface) == pytest.approx((0.125 * 60.0, 0.792 * 60.0))
+    assert along_mm(surface, markers.uv) == pytest.approx(up + 30.0)
+    chart = chart_of(surface, markers)
+    assert not chart.closed
+    assert chart.along == pytest.approx((up + 30.0) / 60.0)
+    assert chart.around == pytest.approx((across + 40.0) / 80.0)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from phytac_design.optics.exposure import Exposure
 from phytac_design.optics.render_scene import SHELL, build_scene
 from phytac_design.optics.visibility import measure_visibility
 from phytac_design.simulation.contacts import draw_contacts, switch_states
+from phytac_design.simulation.imaging import imaging_model
 from phytac_design.simulation.imaging.imaging_model import (
     ImagingModel,
     MarkerReading,
@@ -308,6 +310,64 @@ def test_two_cameras_read_each_their_own() -> None:
     for camera in (0, 1):
         assert rms(error[:, number == camera]) < AGREE_px
         assert np.abs(shift[:, number == camera]).max() > 0.3
+
+
+def test_grid_error_is_the_unbiased_scatter_over_places_on_the_pixels(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Frames are the shifts of the image; a detector finds each with an error of known size.
+    draw, grid_px, place_px = np.random.default_rng(2), 0.05, np.full((4000, 2), 100.0)
+
+    def found(_: Any, frames: Any) -> tuple[SimpleNamespace, None]:
+        error_px = grid_px * draw.standard_normal(place_px.shape)
+        return SimpleNamespace(position_px=place_px + frames[0] + error_px), None
+
+    monkeypatch.setattr(imaging_model, "locate_markers", found)
+    monkeypatch.setattr(imaging_model.SimulatedCamera, "light", lambda *given: given[2])
+    monkeypatch.setattr(ImagingModel, "_exposed", lambda *given: np.array(given[2]))
+    before = found(None, (0.0,))[0].position_px
+    grid = rig.imaging._grid(None, before)  # type: ignore[arg-type]
+    assert np.mean(grid**2) == pytest.approx(grid_px**2, rel=0.04)
+
+
+def test_rest_frames_give_the_unbiased_noise_of_one(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A detector of known noise; tips that are out move what it finds by 2 px: 1.5 px are expected.
+    draw, noise_px, count = np.random.default_rng(4), 0.05, 4000
+
+    def found(_: Any, frames: Any) -> tuple[SimpleNamespace, None]:
+        noise = noise_px * draw.standard_normal((count, 2))
+        return SimpleNamespace(position_px=100.0 + float(frames[0]) + noise), None
+
+    bundle = SimpleNamespace(tip_shift_px=lambda bits: np.full((count, 2), 1.5 * bits.all()))
+    imaging = rig.make(rig.unit)
+    monkeypatch.setattr(imaging_model, "locate_markers", found)
+    monkeypatch.setattr(ImagingModel, "count", count)
+    monkeypatch.setattr(ImagingModel, "_set_to", lambda *_: bundle)
+    monkeypatch.setattr(ImagingModel, "_exposed", lambda *_: 0.0)
+    monkeypatch.setattr(ImagingModel, "frame", lambda *_: (2.0,))
+    for name in ("scene", "light"):
+        monkeypatch.setattr(imaging_model.SimulatedCamera, name, lambda *_: None)
+    rest = imaging.at_rest
+    assert np.mean(rest.noise_px**2) == pytest.approx(noise_px**2, rel=0.04)
+    assert np.mean(rest.rest_px) == pytest.approx(100.0, abs=0.01)
+    assert np.mean(rest.tip_bias_px) == pytest.approx(0.5, abs=0.01)
+
+
+def test_paint_beyond_the_image_is_not_seen(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The image is cut off just before and just after one marker's paint, at either side.
+    (paint,) = rig.imaging._paints
+    camera = paint.camera
+    middle = paint.centroids(rig.still)
+    marker = int(np.nanargmax(middle[:, 0]))
+    last_px = camera.width_px - 1.0
+    for at_px, seen in ((-1.0, False), (0.0, True), (last_px, True), (last_px + 1.0, False)):
+        cx_px = camera.lens.cx_px + at_px - middle[marker, 0]
+        monkeypatch.setattr(
+            paint, "camera", replace(camera, lens=replace(camera.lens, cx_px=cx_px))
+        )
+        assert bool(np.isfinite(paint.centroids(rig.still)[marker, 0])) is seen
 
 
 def test_grid_error_belongs_to_a_place() -> None:

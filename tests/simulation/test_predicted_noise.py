@@ -3,15 +3,19 @@
 from functools import cache
 
 import numpy as np
+import pytest
 
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.vision.switch_detection import TipCovers
 from phytac_design.design.design_file import load_design
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.render_scene import FIRST_MARKER, build_scene
+from phytac_design.simulation.imaging import predicted_noise
 from phytac_design.simulation.imaging.nominal_view import Shot, look
 from phytac_design.simulation.imaging.predicted_noise import predict_noise
-from phytac_design.simulation.imaging.tip_covers import exact_covers
+from phytac_design.simulation.imaging.tip_covers import as_detected, exact_covers
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 SENSOR = Sensor(load_design("examples/uses/handle.toml"))
@@ -36,6 +40,21 @@ def test_paint_behind_a_tip_moves_away_from_it() -> None:
     covers = exact_covers(rest, on, 2)
     assert (covers.marker.tolist(), covers.tip.tolist()) == ([0], [1])
     np.testing.assert_allclose(covers.shift_px, [[1.0 - 1.5, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("found", "taken"), [(1.3, 1.3), (0.8, 0.8), (3.0, 2.0), (0.1, 0.5), (np.nan, 1.0)]
+)
+def test_covers_are_as_large_as_a_detector_finds_them(found: float, taken: float) -> None:
+    # Markers 0 and 1 lie behind tips 2 and 3; tip 1 is not out, for its marker is watched.
+    covers = TipCovers(
+        marker=np.array([0, 1, 2]),
+        tip=np.array([2, 3, 1]),
+        shift_px=np.array([[3.0, -1.0], [0.5, 2.0], [7.0, 7.0]]),
+    )
+    place_px = np.arange(8.0).reshape(4, 2)
+    scaled = as_detected(covers, 4, lambda out: place_px + found * covers.shift(out))
+    np.testing.assert_allclose(scaled.shift_px, taken * covers.shift_px)
 
 
 def test_covers_are_those_of_single_tips_in_frames() -> None:
@@ -79,3 +98,35 @@ def test_noise_of_other_frames_is_as_predicted() -> None:
     ratio = np.sqrt(2.0 * frames.var(axis=0, ddof=1).mean()) / np.sqrt((still**2).mean())
     assert 0.8 < ratio < 1.25
     assert np.median(moved) > np.median(still)
+
+
+def test_noise_and_the_error_of_motion_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A detector whose errors are known: noise in every frame, and a larger error where a frame is
+    # not the first camera's. Frames are the cameras themselves.
+    noise_px, grid_px, count = 0.02, 0.04, 3000
+    draw = np.random.default_rng(3)
+    camera = Camera.on_axis(width_px=640, height_px=480, focal_px=300.0, stand_off_mm=40.0)
+    point_mm = draw.uniform(-20.0, 20.0, (count, 3))
+
+    def detect(frame: Camera) -> FloatArray:
+        errors = draw.standard_normal((2, count, 2))
+        error_px = noise_px * errors[0] + (0.0 if frame is camera else grid_px) * errors[1]
+        return frame.project(point_mm) + error_px
+
+    monkeypatch.setattr(predicted_noise, "render_frame", lambda _, other: other)
+    monkeypatch.setattr(predicted_noise, "add_noise", lambda frame, *_: frame)
+    neighbours = draw.integers(0, count, (count, 8))
+    neighbours[0] = -1
+    still, moved = predict_noise(
+        None,  # type: ignore[arg-type]
+        camera,
+        detect,  # type: ignore[arg-type]
+        clean=camera,  # type: ignore[arg-type]
+        point_mm=point_mm,
+        neighbours=neighbours,
+        noise_std=1.0,
+        rng=np.random.default_rng(1),
+    )
+    # A shift is the difference of two positions.
+    assert np.mean(still**2) == pytest.approx(2.0 * noise_px**2, rel=0.05)
+    assert np.mean(moved**2) == pytest.approx(grid_px**2, rel=0.05)
