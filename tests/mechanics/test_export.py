@@ -94,6 +94,8 @@ def test_msh_reads_back_with_its_groups(cylinder60: Prototype, tmp_path: Path) -
     np.testing.assert_allclose(back.points, mesh.nodes_mm, atol=1e-12)
     np.testing.assert_array_equal(back.cells_dict["quad"], mesh.quads)
     assert set(back.field_data) == {"SHELL", "TOP", "BOTTOM", "MARKERS"}
+    # Programs that ignore dimensions tell groups apart by number alone.
+    assert len({number for number, _ in back.field_data.values()}) == 4
     tags = back.cell_data_dict["gmsh:physical"]
     for name in ("TOP", "BOTTOM"):
         lines = back.cells_dict["line"][tags["line"] == back.field_data[name][0]]

@@ -5,6 +5,7 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ from phytac_design.layout.cameras import Readers, cameras_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import Exposure
+from phytac_design.optics.paint import to_srgb
 from phytac_design.optics.render_scene import SHELL, build_scene
 from phytac_design.optics.visibility import measure_visibility
 from phytac_design.simulation.contacts import draw_contacts, switch_states
@@ -312,6 +314,18 @@ def test_two_cameras_read_each_their_own() -> None:
         assert np.abs(shift[:, number == camera]).max() > 0.3
 
 
+def test_paint_counts_by_the_chroma_that_opencv_gives_its_colour(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (paint,) = rig.imaging._paints
+    light = np.random.default_rng(6).random((len(paint.owner), 3))
+    monkeypatch.setattr(paint, "counts", lambda share: share)
+    colour = to_srgb(light).astype(np.float32)[None] / 255.0
+    chroma = 255.0 * (cv2.cvtColor(colour, cv2.COLOR_RGB2YCrCb)[0, :, 1:] - 0.5)
+    share = (chroma * paint.chroma).sum(axis=1) / (paint.chroma**2).sum(axis=1)
+    np.testing.assert_allclose(paint._seen_chroma(light), share, atol=2e-3)
+
+
 def test_grid_error_is_the_unbiased_scatter_over_places_on_the_pixels(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -368,6 +382,13 @@ def test_paint_beyond_the_image_is_not_seen(rig: Rig, monkeypatch: pytest.Monkey
             paint, "camera", replace(camera, lens=replace(camera.lens, cx_px=cx_px))
         )
         assert bool(np.isfinite(paint.centroids(rig.still)[marker, 0])) is seen
+
+
+def test_keys_are_mixed_as_splitmix64_does() -> None:
+    # Its first numbers from the seed 1234567, as implementations in other languages give them.
+    state = np.uint64(1234567) + np.uint64(0x9E3779B97F4A7C15) * np.arange(3, dtype=np.uint64)
+    wanted = [6457827717110365317, 3203168211198807973, 9817491932198370423]
+    assert imaging_model._mixed(state).tolist() == wanted
 
 
 def test_grid_error_belongs_to_a_place() -> None:

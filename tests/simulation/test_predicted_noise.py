@@ -113,7 +113,8 @@ def test_noise_and_the_error_of_motion_are_told_apart(monkeypatch: pytest.Monkey
         error_px = noise_px * errors[0] + (0.0 if frame is camera else grid_px) * errors[1]
         return frame.project(point_mm) + error_px
 
-    monkeypatch.setattr(predicted_noise, "render_frame", lambda _, other: other)
+    turned: list[Camera] = []
+    monkeypatch.setattr(predicted_noise, "render_frame", lambda _, c: turned.append(c) or c)
     monkeypatch.setattr(predicted_noise, "add_noise", lambda frame, *_: frame)
     neighbours = draw.integers(0, count, (count, 8))
     neighbours[0] = -1
@@ -127,6 +128,11 @@ def test_noise_and_the_error_of_motion_are_told_apart(monkeypatch: pytest.Monkey
         noise_std=1.0,
         rng=np.random.default_rng(1),
     )
+    # Over one pixel, no more: a marker lies anywhere on it.
+    middle = np.zeros((1, 3))
+    axis = [other.project(middle) - camera.project(middle) for other in turned]
+    assert len(turned) == 3
+    assert 0.25 < np.abs(axis).max() <= 0.5 + 1e-3
     # A shift is the difference of two positions.
     assert np.mean(still**2) == pytest.approx(2.0 * noise_px**2, rel=0.05)
     assert np.mean(moved**2) == pytest.approx(grid_px**2, rel=0.05)
