@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.cascade_network import CascadeNetwork, parameter_count
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
+from phytac_decoder.pipeline import decode
 from phytac_decoder.pipeline.decode import FrameMeasurement, confirmed_switches
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_design.simulation.condense import Condensed, condense
@@ -219,6 +222,25 @@ def test_frames_warn_of_red_that_no_switch_shows() -> None:
         measured = replace(pressed(bundle, {4: 9.0}, [4]), half_out=np.arange(tips))
         texts = measured.warnings(bundle, measured.forces_N(bundle, "koi_inverse"))
         assert any("more red than at rest" in text for text in texts) == warned
+
+
+def test_frames_warn_where_contacts_without_switches_may_be_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bundle = sound()
+    measured = pressed(bundle, {}, [])
+    for owner, name in (
+        (decode, "_rim_warnings"),
+        (FrameMeasurement, "moved_cameras"),
+        (FrameMeasurement, "_motion_faults"),
+        (FrameMeasurement, "_too_many_switches"),
+    ):
+        monkeypatch.setattr(owner, name, lambda *_: [])
+    for without, count, warned in ((True, 3, 0), (True, 4, 1), (False, 4, 0)):
+        monkeypatch.setattr(type(bundle.model), "without_switches", without)
+        found: Any = SimpleNamespace(contacts=[None] * count)
+        texts = measured.warnings(bundle, np.zeros(len(measured.found)), found=found)
+        assert sum("there may be more" in text for text in texts) == warned
 
 
 def test_frames_warn_of_estimators_that_cannot_be_used() -> None:
