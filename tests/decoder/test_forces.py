@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -287,3 +289,10 @@ def test_an_unknown_activation_is_rejected(tmp_path: Path) -> None:
     save_bundle(replace(bundle, model=replace(bundle.model, networks={"fem_nn": odd})), tmp_path)
     with refused("bundle-invalid"):
         load_bundle(tmp_path)
+
+
+def test_a_linear_shell_is_read_by_linear_tables() -> None:
+    model = force_model()
+    assert model.linear is model
+    locator: Any = SimpleNamespace(linear="linear tables")
+    assert replace(model, locator=locator).linear.locator == "linear tables"

@@ -1,6 +1,8 @@
 """Contacts found from marker shifts, on a sensor in closed form."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -411,3 +413,16 @@ def test_same_shifts_same_contacts() -> None:
     first, second = (LOCATOR.find(shift, np.array([44])).contacts[0] for _ in range(2))
     assert first.force_N == second.force_N
     assert (first.point_mm == second.point_mm).all()
+
+
+def test_a_contact_beyond_the_disc_is_in_doubt_by_its_longest_side() -> None:
+    places: Any = SimpleNamespace(places=SimpleNamespace(radius_mm=4.0))
+    # A disc of 4 mm has the second moment 4 mm². Of two contacts one is 1 and 3 mm² larger, along
+    # axes turned by 30 degrees; the other is smaller.
+    turn = np.array([[np.sqrt(0.75), -0.5], [0.5, np.sqrt(0.75)]])
+    more = turn @ np.diag([3.0, 1.0]) @ turn.T
+    moments = ((more[0, 0], more[0, 1], more[1, 1]), (-1.0, 0.0, -2.0))
+    states: Any = [SimpleNamespace(x=np.array([5.0, 0.0, 0.0, *own, 0.0, 0.0])) for own in moments]
+    error_N = ContactLocator._force_by_extent(places, states)
+    share = SETTINGS.extent_share
+    np.testing.assert_allclose(error_N, [share * 3.0 / 4.0 * 5.0, 0.0], atol=1e-12)

@@ -163,6 +163,20 @@ def test_the_average_over_both_cases_is_that_of_bayes(monkeypatch: pytest.Monkey
         np.testing.assert_allclose(got[1], spread, atol=1e-8)
 
 
+def test_larger_errors_than_the_fit_s_are_a_larger_covariance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    root = np.random.default_rng(4).normal(size=(8, 8))
+    covariance, x = 1e-3 * root @ root.T, np.array([3.0, *[0.1] * 5, 0.08, -0.05])
+    monkeypatch.setattr(friction_prior, "SHEAR_SPREAD", 1.0)
+    wider, _ = average_over_friction(x, 4.0 * covariance, shear_sd=0.4)
+    narrow, _ = average_over_friction(x, covariance, shear_sd=0.4)
+    monkeypatch.setattr(friction_prior, "SHEAR_SPREAD", 2.0)
+    got, _ = average_over_friction(x, covariance, shear_sd=0.4)
+    np.testing.assert_allclose(got, wider, rtol=1e-12)
+    assert np.abs(got - narrow).max() > 1e-3
+
+
 def test_what_markers_do_not_show_is_not_reported() -> None:
     places = flat_places()
     nothing = replace(shear_table(), shift_px=np.zeros_like(shear_table().shift_px))
