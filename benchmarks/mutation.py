@@ -3,7 +3,8 @@
 ``python -m benchmarks.mutation [--parts optics,layout] [--minutes 15] [--again]`` tries the drawn
 mutants of each package whose outcome is not known, for so many minutes each, and then makes the
 rows. Outcomes are kept in ``benchmarks/results/mutants.jsonl`` until the mutated file changes, so
-that a run that was stopped continues. ``--again`` tries survivors once more, with more tests.
+that a run that was stopped continues. ``--again`` tries survivors without a reason in
+``survivors.toml`` once more, with more tests.
 """
 
 import json
@@ -60,9 +61,12 @@ def try_mutants(package: str, mutants: Sequence[Mutant], *, minutes: float, agai
     """Try mutants until the time is over; return what is known of the package's, in their order."""
     known, runner = read_outcomes(), None
     end, own = monotonic() + 60.0 * minutes, {}
+    explained = {(each["file"], each["was"], each["now"]) for each in reasons()}
     for mutant in mutants:
         entry = known.get(mutant.key)
-        retried = again and entry is not None and entry["outcome"] == "survived"
+        retried = bool(again and entry and entry["outcome"] == "survived")
+        if retried and (mutant.file, entry["was"], entry["now"]) in explained:
+            retried = False
         if (entry is None or retried) and monotonic() < end:
             runner = runner or Runner()
             begin = monotonic()

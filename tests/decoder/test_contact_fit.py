@@ -10,6 +10,8 @@ from phytac_decoder.estimation.contact_fit import (
     ShiftObservation,
     fit_contacts,
     initial_state,
+    prior_cost,
+    prior_weight,
 )
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import DISC, MARKERS, flat_places, nearest, shifts
@@ -84,3 +86,20 @@ def test_the_gain_by_a_contact_is_foreseen() -> None:
     assert drop > 20.0
     assert alone.gain_by(row, seen, prior.force_N) == pytest.approx(drop, rel=0.1)
     assert true.gain_by(row, shifts(AT, 10.0), prior.force_N) < 0.01 * drop
+
+
+@pytest.mark.parametrize("sds", [0.5, 2.5, 12.0])
+def test_weights_of_priors_are_the_slopes_of_their_cost(sds: float) -> None:
+    """Of a contact with a switch and of one without, near the prior, far, and beyond its growth."""
+    prior = ContactPrior(place_mm=1.5, force_N=10.0)
+    states = [
+        initial_state(PLACES, prior, AT, 8.0, markers=np.array(markers, dtype=np.int64))
+        for markers in ([nearest(AT)], [])
+    ]
+    one = np.array([10.0, 1.5, 1.5, 3.0, 2.0, 3.0, 0.4, 0.4])
+    sign = np.array([1.0, -1.0, 0.5, 1.0, -0.7, 0.9, 1.0, -1.0])
+    off = np.tile(sds * one * sign, 2)
+    step = 1e-5 * np.tile(one, 2)
+    ahead, behind = (prior_cost(states, off + side * np.diag(step), prior) for side in (1.0, -1.0))
+    slope = (ahead - behind).sum(axis=1) / (2.0 * step)
+    np.testing.assert_allclose(slope, 2.0 * prior_weight(states, off, prior) * off, rtol=1e-6)

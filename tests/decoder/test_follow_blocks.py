@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from phytac_decoder.pipeline.tracker import _extent
 from phytac_decoder.vision.windows import WindowGroup, border_lines
 
 SPOTS, RIVALS, SIDE = 7, 3, 9
@@ -35,3 +36,14 @@ def test_a_border_lies_half_way_and_is_a_pixel_wide() -> None:
     lines = border_lines(np.array([[4.0, 4.0]]), np.array([[[6.0, 0.0]]]))
     along = lines[0, 0] @ np.array([[1.0, 1.0, 1.0], [6.5, 7.0, 7.5], [4.0, 4.0, 4.0]])
     np.testing.assert_allclose(along, [1.0, 0.5, 0.0], atol=1e-6)
+
+
+def test_a_marker_without_paint_has_the_extent_of_its_neighbours() -> None:
+    # Half widths 4.5 and 6.5 px, and 40.5 px of one whose paint runs into another's.
+    place = np.array([[20.0, 20.0], [50.0, 20.0], [80.0, 20.0], [200.0, 20.0]])
+    half = {0: 4, 1: 6, 3: 40}
+    xy = np.array([[place[k, 0] + side * w, 20] for k, w in half.items() for side in (-1, 1)])
+    owner = np.repeat(list(half), 2)
+    neighbours = np.array([[1, 2, -1], [0, 2, -1], [0, 1, -1], [0, 1, -1]])
+    got = _extent(xy.astype(np.int64), owner, place, neighbours)
+    assert got == pytest.approx([4.5, 6.5, 5.5, 1.5 * 5.5])
