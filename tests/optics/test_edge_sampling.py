@@ -16,6 +16,7 @@ from phytac_design.optics.edge_sampling import mark_edges
 from phytac_design.optics.frame_renderer import (
     SAMPLES,
     add_noise,
+    quick_samples,
     render_frame,
     render_light,
     sample_views,
@@ -149,3 +150,11 @@ def test_edges_are_marked_on_both_sides_and_where_shades_differ() -> None:
     mark_edges(owner, shade, 2, 1.0, edge)
     # Between pixels 2 and 3 lies the edge; triangles 1 and 2 look the same.
     np.testing.assert_array_equal(edge, np.tile([False, False, True, True, False, False], (4, 1)))
+
+
+def test_large_frames_that_are_only_decoded_take_fewer_samples() -> None:
+    small, large = (
+        Camera.on_axis(width_px=w, height_px=h, focal_px=300.0, stand_off_mm=20.0)
+        for w, h in ((640, 480), (2592, 1944))
+    )
+    assert quick_samples(large) < quick_samples(small) == SAMPLES

@@ -1,5 +1,7 @@
 """Separable paints: chromaticity against the standard, margins against drawn noise."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -94,3 +96,13 @@ def test_the_plot_names_and_colours_every_paint() -> None:
         assert svg.count(f">{name}<") == 2
         assert svg.count("#{:02x}{:02x}{:02x}".format(*PAINTS[name])) == 2
     assert svg.count("<line") == 3
+
+
+def test_the_plot_has_paints_at_their_chromaticities() -> None:
+    found = separability(("blue", "yellow"), noise_pixel=2.0)
+    svg = separability_svg(found)
+    left, top, size = 36.0, 36.0, 300.0
+    circles = re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"', svg)[: len(found.uv)]
+    x, y = np.array(circles, dtype=np.float64).T
+    uv = 0.63 / size * np.column_stack([x - left, top + size - y])
+    np.testing.assert_allclose(uv, found.uv, atol=0.63 / size * 0.06)
