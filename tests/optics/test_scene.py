@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from phytac_design.design.fixture_table import BoxFixture
 from phytac_design.geometry.triangles import grid_mesh
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.raster import rasterise
@@ -12,11 +13,13 @@ from phytac_design.optics.render_scene import (
     FIRST_MARKER,
     SHELL,
     build_scene,
+    fixture_mesh,
     paint_owner,
     red_owner,
     sides_of,
 )
 from phytac_design.optics.visibility import measure_visibility
+from phytac_shapes.arrays import FloatArray, IntArray
 from tests.optics.cases import FULL, Bench, make_design
 
 
@@ -24,6 +27,29 @@ def test_part_codes_name_their_marker() -> None:
     part = np.array([0, 1, 2, 3, 16, 17, 18, 19, 16 + 2 * 367, 17 + 2 * 367], dtype=np.int32)
     np.testing.assert_array_equal(paint_owner(part), [-1, -1, -1, -1, 0, -1, 1, -1, 367, -1])
     np.testing.assert_array_equal(red_owner(part), [-1, -1, -1, -1, -1, 0, -1, 1, -1, 367])
+
+
+def area_mm2(vertices: FloatArray, triangles: IntArray) -> float:
+    a, b, c = vertices[triangles].swapaxes(0, 1)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
+
+
+def test_paint_has_the_area_of_band_and_end(few: Bench) -> None:
+    # Of circles; polygons fall a little short of them.
+    scene, receptor = few.scene(), few.design.receptor
+    outer, hole = receptor.diameter_outer_mm / 2.0, receptor.diameter_hole_mm / 2.0
+    wanted = 2.0 * np.pi * outer * receptor.band_marker_mm + np.pi * (outer**2 - hole**2)
+    for marker in (0, 5, 11):
+        painted = scene.triangles[scene.part == FIRST_MARKER + 2 * marker]
+        assert area_mm2(scene.vertices, painted) == pytest.approx(wanted, rel=0.1)
+
+
+def test_a_box_is_closed() -> None:
+    box = BoxFixture(name="box", centre_mm=(1.0, 2.0, 3.0), size_mm=(4.0, 5.0, 6.0), turn_deg=20.0)
+    mesh = fixture_mesh(box, tolerance_mm=0.1)
+    assert area_mm2(mesh.vertices_mm, mesh.triangles) == pytest.approx(2.0 * (20 + 24 + 30))
+    edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert set(np.unique(edges, axis=0, return_counts=True)[1]) == {2}
 
 
 def test_receptors_have_the_sizes_of_the_design(few: Bench) -> None:
