@@ -64,16 +64,20 @@ def try_mutants(package: str, mutants: Sequence[Mutant], *, minutes: float, agai
     explained = {(each["file"], each["was"], each["now"]) for each in reasons()}
     for mutant in mutants:
         entry = known.get(mutant.key)
-        retried = bool(again and entry and entry["outcome"] == "survived")
-        if retried and (mutant.file, entry["was"], entry["now"]) in explained:
-            retried = False
+        retried = (
+            again
+            and entry is not None
+            and entry["outcome"] == "survived"
+            and (mutant.file, entry["was"], entry["now"]) not in explained
+        )
         if (entry is None or retried) and monotonic() < end:
             runner = runner or Runner()
             begin = monotonic()
             outcome = runner.meet(mutant, again=retried)
             was, now = mutant.change()
+            first = (entry or {}).get("first", outcome.outcome)
             entry = {"package": package, "key": mutant.key, "line": mutant.last_line}
-            entry |= {"was": was, "now": now} | asdict(outcome)
+            entry |= {"was": was, "now": now, "first": first} | asdict(outcome)
             where = f"{mutant.file}:{mutant.last_line}"
             print(f"{entry['outcome']:8} {monotonic() - begin:4.0f} s {where}: {was} -> {now}")
             with OUTCOMES.open("a", encoding="utf-8") as stream:
@@ -89,19 +93,25 @@ def add_rows(table: Table, package: str, *, count: int, minutes: float, again: b
     drawn = draw(package)
     own = try_mutants(package, drawn[:count], minutes=minutes, again=again)
     keep_drawn(package, drawn)
-    found = [entry["outcome"] for entry in own.values()]
-    if not found:
+    if not own:
         raise SystemExit(f"{package}: no mutant was tried; give more --minutes")
-    killed = len(found) - found.count("survived")
-    low, high = (100.0 * share for share in wilson(killed, len(found)))
+    late = sum(entry["outcome"] == "timeout" for entry in own.values())
+    noticed, source = _score([entry["outcome"] for entry in own.values()])
+    note = f"{late} of them by running out of time"
     table.goal(
-        f"{package}: mutants that tests notice",
-        100.0 * killed / len(found),
-        "%",
-        ">= 85",
-        source=f"{killed} of {len(found)} drawn; 95 % interval {low:.0f} to {high:.0f} %",
-        note=f"{found.count('timeout')} of them by running out of time",
+        f"{package}: mutants that tests notice", noticed, "%", ">= 85", source=source, note=note
     )
+    noticed, source = _score([entry["first"] for entry in own.values()])
+    case = f"{package}: of the same when first tried"
+    table.add(case, noticed, "%", "before tests were written for survivors", source)
+
+
+def _score(outcomes: list[str]) -> tuple[float, str]:
+    """Return the share of mutants that were noticed, in percent, and its interval in words."""
+    noticed, count = len(outcomes) - outcomes.count("survived"), len(outcomes)
+    low, high = (100.0 * share for share in wilson(noticed, count))
+    words = f"{noticed} of {count} drawn; 95 % interval {low:.0f} to {high:.0f} %"
+    return 100.0 * noticed / count, words
 
 
 def parts(

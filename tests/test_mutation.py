@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import mutants, mutation
+from benchmarks.mutant_runs import Outcome
 from benchmarks.mutants import PACKAGES, Mutant
 
 TEXT = '''"""Text 1 + 2."""
@@ -79,6 +80,37 @@ def test_outcomes_of_mutants_that_are_not_drawn_are_dropped(
     mutation.OUTCOMES.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
     mutation.keep_drawn("made-up", drawn)
     assert list(mutation.read_outcomes()) == ["other", *(mutant.key for mutant in drawn)]
+
+
+def test_survivors_are_tried_again_until_they_have_a_reason(
+    drawn: list[Mutant], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    met: list[tuple[str, bool]] = []
+
+    class Weak:
+        """Tests that notice nothing at first, and everything when tried again."""
+
+        def meet(self, mutant: Mutant, *, again: bool) -> Outcome:
+            met.append((mutant.key, again))
+            return Outcome(outcome="killed" if again else "survived", tests=1, of=2)
+
+    monkeypatch.setattr(mutation, "Runner", Weak)
+    monkeypatch.setattr(mutation, "OUTCOMES", tmp_path / "mutants.jsonl")
+    was, now = drawn[0].change()
+    explained = [{"file": drawn[0].file, "was": was, "now": now, "reason": "none"}]
+    monkeypatch.setattr(mutation, "reasons", lambda: explained)
+
+    def outcomes(*, again: bool, minutes: float = 1.0) -> list[tuple[str, str]]:
+        known = mutation.try_mutants("made-up", drawn, minutes=minutes, again=again)
+        return [(entry["outcome"], entry["first"]) for entry in known.values()]
+
+    assert outcomes(again=False, minutes=0.0) == []
+    assert outcomes(again=False) == [("survived", "survived")] * 6
+    assert outcomes(again=False) == [("survived", "survived")] * 6
+    assert len(met) == 6
+    alike = sum(mutant.change() == (was, now) for mutant in drawn)
+    assert outcomes(again=True).count(("killed", "survived")) == 6 - alike
+    assert len(met) == 12 - alike
 
 
 @pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="hashes of code are of Python 3.11")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from statistics import NormalDist
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from phytac_decoder.camera.lens import KannalaBrandt
 from phytac_decoder.pipeline.decode import rest_positions
 from phytac_design.core.threads import THREADS
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics import frame_renderer
+from phytac_design.optics import edge_sampling, frame_renderer
 from phytac_design.optics.edge_sampling import mark_edges
 from phytac_design.optics.frame_renderer import (
     SAMPLES,
@@ -158,3 +159,17 @@ def test_large_frames_that_are_only_decoded_take_fewer_samples() -> None:
         for w, h in ((640, 480), (2592, 1944))
     )
     assert quick_samples(large) < quick_samples(small) == SAMPLES
+
+
+def test_rays_of_a_pinhole_are_the_same_by_differences() -> None:
+    # As Python runs them: bent lenses take differences of neighbouring rays.
+    fx, fy, cx, cy = lens = np.array([30.0, 40.0, 3.2, 1.7])
+    row, column = (axis.astype(np.float64) for axis in np.indices((4, 7)))
+    rays = np.stack([(column - cx) / fx, (row - cy) / fy, np.ones_like(row)], axis=-1)
+    view, slot = SimpleNamespace(rays=rays, origin=(0, 0)), np.arange(28).reshape(4, 7)
+    here, change = np.empty((28, 3)), np.empty((28, 2, 3))
+    edge_sampling._bent_rays.py_func(view, 0, slot, here, change)
+    for k in range(28):
+        wanted = edge_sampling._straight_ray.py_func(lens, k % 7, k // 7)
+        got = edge_sampling._bent_ray.py_func(here, change, k)
+        np.testing.assert_allclose(got, wanted, atol=1e-15)
