@@ -18,6 +18,7 @@ from benchmarks.provenance import ROOT, is_current
 
 EARLIER = "†"
 BEGIN, END = "<!-- figures: made by python -m benchmarks.tables -->", "<!-- end of figures -->"
+SURVIVED = "<!-- survivors: made by python -m benchmarks.tables -->"
 SURVIVORS = Path(__file__).with_name("survivors.toml")
 INTRODUCTION = """# Verification
 
@@ -92,7 +93,17 @@ Every target that the committed results miss, by its reason. The value is that o
 farthest off; `python -m benchmarks.tables --out FOLDER` writes all rows. † Made by earlier code.
 
 """
-PAGES = {ROOT / "README.md": HEADLINES, ROOT / "docs" / "evidence.md": SHORT}
+MUTATION = tuple(
+    ("mutation", f"{package}: {case}")
+    for package in ("decoder", "optics", "shell", "layout", "imaging")
+    for case in ("mutants", "of the same")
+)
+HARDENING = ROOT / "docs" / "hardening.md"
+PAGES = {
+    ROOT / "README.md": HEADLINES,
+    ROOT / "docs" / "evidence.md": SHORT,
+    HARDENING: MUTATION,
+}
 
 
 def cell(value: Any) -> str:
@@ -171,6 +182,19 @@ def table(results: dict[str, dict[str, Any]], chosen: tuple[tuple[str, str], ...
     return f"{BEGIN}\n{HEAD}" + "\n".join(rows) + f"\n{END}"
 
 
+def survivors() -> str:
+    """Return the table of mutants that no test notices, between its marks."""
+    entries = map(json.loads, (RESULTS / "mutants.jsonl").read_text("utf-8").splitlines())
+    lines = {(e["key"].partition(":")[0], e["was"], e["now"]): e["line"] for e in entries}
+    rows = ["| place | was | survives as | why |", "|---|---|---|---|"]
+    for each in tomllib.loads(SURVIVORS.read_text("utf-8")).get("survivor", []):
+        change = [each["file"], each["was"], each["now"]]
+        place = f"{each['file']}:{lines.get(tuple(change), '?')}"
+        code = " | ".join(f"`{cell(text)}`" for text in (place, *change[1:]))
+        rows.append(f"| {code} | {each['reason']} |")
+    return f"{SURVIVED}\n" + "\n".join(rows) + f"\n{END}"
+
+
 def excess(row: dict[str, Any]) -> float:
     """Return how far a row misses its target, relative to the target."""
     target = float(row["target"].split()[1])
@@ -213,13 +237,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for verification.md")
     given = parser.parse_args()
     results = read()
-    pattern = re.compile(re.escape(BEGIN) + ".*" + re.escape(END), re.DOTALL)
+    pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
     stale = []
     # A backslash in a replacement would be an escape.
     texts = {
         path: pattern.sub(table(results, chosen).replace("\\", r"\\"), path.read_text())
         for path, chosen in PAGES.items()
     } | {MISSES: misses(results)}
+    pattern = re.compile(re.escape(SURVIVED) + ".*?" + re.escape(END), re.DOTALL)
+    texts[HARDENING] = pattern.sub(lambda _: survivors(), texts[HARDENING])
     for path, new in texts.items():
         if not path.is_file() or new != path.read_text():
             stale.append(path)
