@@ -38,8 +38,10 @@ from phytac_design.training.training_data import split_data_sets
 from phytac_shapes.arrays import FloatArray
 
 PRINTS = {0: "nominal print", 1: "print 1", 2: "print 2", 3: "print 3"}
-LEARNT, FURTHER, GRIPS, PLATFORM = 598, 200, 100, 450
-"""Samples of the paper, further ones to judge by, and samples of grips and of ``platform``."""
+LEARNT, GRIPS, PLATFORM = 598, 100, 450
+"""Samples of the paper, and samples of grips and of ``platform``."""
+FURTHER: dict[Route, int] = {"points": 200, "frames": 100}
+"""Further samples to judge by, by route."""
 NETWORKS = ("mechanics", "fem_nn", "fem_nn_identity")
 ESTIMATORS = ("fem", "koi_inverse", "fem_nn", "fem_nn_identity")
 PAPER = "paper, real sensor, all heights"
@@ -125,8 +127,8 @@ def _rows_of_print(
 ) -> Scores:
     """Rows of one print; scores of FEM-NN."""
     make = partial(_spec, route=route, linear=linear, quick=quick)
-    count = 60 if quick else LEARNT
-    spec = make("paper-protocol", unit, count + (20 if quick else FURTHER))
+    count, further_count = (60, 20) if quick else (LEARNT, FURTHER[route])
+    spec = make("paper-protocol", unit, count + further_count)
     samples, meta = data_set(spec.name, spec.job)
     whole = set_of(spec.name, samples, meta)
     mine = chosen(whole, np.arange(count))
@@ -153,6 +155,23 @@ def _rows_of_print(
     unmeasured = scores(replace(bundle.model, measured=None), test, ("koi_inverse",))
     case = f"{name}: koi_inverse, calibrated, columns by design"
     _add(table, case, unmeasured["koi_inverse"], "")
+    if route == "points":
+        _rows_elsewhere(table, plain, bundle, learnt, make, unit=unit, name=name, quick=quick)
+    return learnt["fem_nn"]
+
+
+def _rows_elsewhere(
+    table: Table,
+    plain: Bundle,
+    bundle: Bundle,
+    learnt: dict[str, Scores],
+    make: Callable[[str, int, int], DataSetSpec],
+    *,
+    unit: int,
+    name: str,
+    quick: bool,
+) -> None:
+    """Rows of one print on grips, and of a network that was trained on ``platform``."""
     grips = make("paper-grips", unit, 10 if quick else GRIPS)
     held = data_set(grips.name, grips.job)[0]
     glove = scores(bundle.model, held, ("koi_inverse", "fem_nn"))
@@ -174,7 +193,6 @@ def _rows_of_print(
     ratio = glove["fem_nn"].relative / on_platform.relative
     row = f"{name}: fem_nn, error on paper-grips over that of one trained and judged on platform"
     table.goal(row, ratio, "x", "<= 2")
-    return learnt["fem_nn"]
 
 
 def _add(
@@ -206,7 +224,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     return {
         "linear": partial(add_rows, units=units, route="points", linear=True, quick=quick),
         "points": partial(add_rows, units=units, route="points", linear=False, quick=quick),
-        **{f"frames {PRINTS[unit]}": partial(frames, units=(unit,)) for unit in (0, 1)},
+        **{f"frames {name}": partial(frames, units=(unit,)) for unit, name in PRINTS.items()},
     }
 
 
