@@ -82,6 +82,8 @@ def test_the_average_is_that_of_a_fine_grid(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(
         ContactLocator, "_log_switches", lambda _, states, **__: np.zeros(len(states))
     )
+    known = replace(place_average.SETTINGS, usual_freedom=1e6)
+    monkeypatch.setattr(place_average, "SETTINGS", known)
     locator = with_rim()
     sure = replace(locator.prior, moments_sd_mm2=(1e-3, 1e-3, 1e-3), shear_sd=1e-3)
     locator = replace(locator, prior=sure, noise=replace(locator.noise, share=0.0))
@@ -116,6 +118,49 @@ def test_the_average_is_that_of_a_fine_grid(monkeypatch: pytest.MonkeyPatch) -> 
     assert one.point_mm[0] == pytest.approx(mean_x, abs=0.2)
     sd_x = np.sqrt(np.sum(density.sum(axis=(1, 2)) * (x - mean_x) ** 2) / density.sum())
     assert one.sd_mm[0] == pytest.approx(sd_x, rel=0.1)
+
+
+def own_noise(residual_px: FloatArray) -> place_average._OwnNoise:
+    """Noise of a contact's own markers, whose shifts (n,) are so far from the fitted ones."""
+    at, locator = np.array([24.0, 33.0, 0.0]), flat_locator(noise_px=0.1)
+    state = locator.find(shifts(at, 10.0).reshape(-1, 2), np.array([nearest(at)])).state
+    assert state is not None
+    seen = ShiftObservation(
+        shift_px=state.fit.predicted_px + np.repeat(residual_px, 2),
+        found=np.ones(2 * len(MARKERS), dtype=np.bool_),
+        koi=np.array([nearest(at)]),
+    )
+    average = PlaceAverage(
+        places=locator.places,
+        prior=locator.prior,
+        noise=locator.noise,
+        seen=seen,
+        fit=state.fit,
+        scale=1.0,
+        log_switches=lambda states: np.zeros(len(states)),
+    )
+    return average._own_noise(0)
+
+
+def test_a_force_is_as_uncertain_as_its_own_markers_are_noisy() -> None:
+    """Blur and compression do most harm where markers move and turn most."""
+    gap = np.linalg.norm(MARKERS - np.array([24.0, 33.0, 0.0]), axis=1)
+    calm = own_noise(np.zeros(len(MARKERS)))
+    beside, elsewhere = own_noise(0.3 * (gap < 12.0)), own_noise(0.3 * (gap > 30.0))
+    assert calm.scale == 1.0
+    assert calm.freedom > place_average.SETTINGS.usual_freedom + 4.0
+    assert beside.scale > 2.0
+    assert elsewhere.scale == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_density_with_a_scale_that_is_poorly_known_is_student_s() -> None:
+    noise = place_average._OwnNoise(scale=1.7, freedom=6.0)
+    x = np.linspace(-400.0, 400.0, 800_001)
+    density = np.exp(-0.5 * noise.cost(x**2))
+    density /= density.sum()
+    # The 97.5 % quantile with six degrees of freedom.
+    assert np.interp(0.975, np.cumsum(density), x) == pytest.approx(2.4469 * 1.7**0.5, rel=1e-3)
+    assert density @ x**2 == pytest.approx(noise.spread, rel=1e-3)
 
 
 def test_a_contact_out_of_reach_of_its_switch_is_nearer_to_it(
@@ -159,7 +204,8 @@ def test_neighbours_follow_a_contact_along_its_places(
         scale=1.0,
         log_switches=lambda states: np.zeros(len(states)),
     )
-    nodes = average._nodes_along(average._line(0, np.array([1.0, 0.0])), 1.0)
+    known = place_average._OwnNoise(scale=1.0, freedom=1e6)
+    nodes = average._nodes_along(average._line(0, np.array([1.0, 0.0]), known), 1.0)
     least = min(node.cost for node in nodes)
     likely = [node for node in nodes if node.cost - least < 5.0]
     assert len(likely) > 4
@@ -176,7 +222,8 @@ def test_neighbours_follow_a_contact_along_its_places(
         own = replace(fit.states[0], start_mm=node.state.start_mm)
         states = [replace(own, place_sd_mm=node.state.place_sd_mm), *fit.states[1:]]
         off = contact_fit.prior_residual(locator.places, states, locator.prior)
-        whole = fit.residual_cost + contact_fit.prior_cost(states, off, locator.prior).sum()
+        whole = contact_fit.prior_cost(states, off, locator.prior).sum()
+        whole += fit.residual_cost - state.fit.residual_cost
         sd_N = np.sqrt(fit.covariance[0, 0])
         assert node.state.x[0] == pytest.approx(own.x[0], abs=share * sd_N)
         assert np.sqrt(node.covariance[0, 0]) == pytest.approx(sd_N, rel=0.08)

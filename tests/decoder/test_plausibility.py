@@ -90,6 +90,14 @@ def test_noise_above_the_expected_one_is_named_where_forces_are_doubtful() -> No
     assert noisy_rims(detection(9.0, sd_N=2.0, chi2=1.5)) == []
 
 
+def test_motion_that_noise_does_not_explain_is_named_where_no_contact_is_found() -> None:
+    """A strong contact at a rim whose switch a blurred picture does not show."""
+    nothing = replace(detection(9.0, chi2=4.0), contacts=[])
+    (words,) = noisy_rims(nothing)
+    assert "may be missing" in words
+    assert noisy_rims(replace(nothing, reduced_chi2=1.5)) == []
+
+
 def test_errors_beyond_a_frame_s_own_noise_are_named_whatever_noise_a_camera_may_have() -> None:
     for chi2, named in ((2.5, False), (3.5, True)):
         noisy = detection(9.0, sd_N=2.0, chi2=chi2)

@@ -237,8 +237,9 @@ def noisy_rims(
 ) -> list[str]:
     """Warning of forces that noise above the expected one makes doubtful; none for others.
 
-    Beside a rim, force and place of a contact are nearly degenerate, so that systematic errors of
-    the picture (compression, say), which intervals cannot contain, are large there.
+    Where no contact was found, such noise may hide one. Beside a rim, force and place of a contact
+    are nearly degenerate, so that systematic errors of the picture (compression, say), which
+    intervals cannot contain, are large there.
 
     Parameters
     ----------
@@ -254,12 +255,14 @@ def noisy_rims(
     usual = found.chi2_of_usual <= chi2_max * chi2_allowed
     if usual and found.reduced_chi2 <= chi2_systematic:
         return []
-    if all(one.sd_N <= spread_max * one.force_N for one in found.contacts):
+    doubtful = f"forces with a standard deviation above {100.0 * spread_max:g} % are doubtful"
+    if not found.contacts:
+        doubtful = "a contact whose switch is not seen may be missing"
+    elif all(one.sd_N <= spread_max * one.force_N for one in found.contacts):
         return []
     words = (
         f"markers are {np.sqrt(found.chi2_of_usual):.1f} times their noise from where contacts put "
-        f"them: forces with a standard deviation above {100.0 * spread_max:g} % are doubtful; "
-        "check focus, light and compression"
+        f"them: {doubtful}; check focus, light and compression"
     )
     return [words]
 
