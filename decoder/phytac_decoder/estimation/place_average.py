@@ -399,7 +399,7 @@ class PlaceAverage:
         ]
         off = prior_residual(self.places, line.others, self.prior) + steps[:, :split]
         own = prior_cost(line.others, off, self.prior).sum(axis=1)
-        return line.noise.cost(np.array(square) - self.fit.residual_cost) + own
+        return np.asarray(line.noise.cost(np.array(square) - self.fit.residual_cost) + own)
 
     def _moments(self, nodes: list[_Node], spread: float) -> tuple[ContactState, FloatArray]:
         """Return mean and covariance over nodes by the trapezoidal rule; of the force the median.
