@@ -54,7 +54,8 @@ class LocatorSettings:
     foreseen_share: float = 0.6
     """Share of the demanded drop of χ² that linear theory must foresee for a fit to be tried. Of
     300 fits that were tried in films, it foresaw 0.7 to 1.5 times the drop of those accepted, and
-    0.6 times at least where the drop was a fifth of the demanded one or more."""
+    0.6 times at least where the drop was a fifth of the demanded one or more. While a part of the
+    motion is unexplained, a residual of that share of the drop is enough for an unswitched one."""
     foreseen_places: int = 10
     """Places around the start of a contact on which it is foreseen."""
     chi2_unexplained: float = 1.15
@@ -372,7 +373,9 @@ class ContactLocator:
             if not unexplained and not allow_tentative:
                 break
             drop = SETTINGS.tentative_chi2_drop if allow_tentative else SETTINGS.chi2_drop
-            start = self._unswitched_start(best, seen, drop)
+            # Others may have stretched over a contact that is missing: then its residual is small.
+            share = SETTINGS.foreseen_share if unexplained else 1.0
+            start = self._unswitched_start(best, seen, share * drop)
             if start is None:
                 break
             more = self._fit([*best.states, start], seen)
