@@ -266,6 +266,7 @@ def _run(
     context: BaseContext, work: Callable[..., None], *given: object, limit_s: float
 ) -> int | None:
     """Exit code of work in a fork, negative for a signal; None if it took too long."""
+    # Every context has it, but their common base does not declare it.
     process = context.Process(target=work, args=(*given, str(WORK / "log.txt")))  # type: ignore[attr-defined]
     process.start()
     process.join(limit_s)

@@ -340,6 +340,7 @@ def test_grid_error_is_the_unbiased_scatter_over_places_on_the_pixels(
     monkeypatch.setattr(imaging_model.SimulatedCamera, "light", lambda *given: given[2])
     monkeypatch.setattr(ImagingModel, "_exposed", lambda *given: np.array(given[2]))
     before = found(None, (0.0,))[0].position_px
+    # The detector above looks at no bundle.
     grid = rig.imaging._grid(None, before)  # type: ignore[arg-type]
     assert np.mean(grid**2) == pytest.approx(grid_px**2, rel=0.04)
 

@@ -118,6 +118,7 @@ def test_noise_and_the_error_of_motion_are_told_apart(monkeypatch: pytest.Monkey
     monkeypatch.setattr(predicted_noise, "add_noise", lambda frame, *_: frame)
     neighbours = draw.integers(0, count, (count, 8))
     neighbours[0] = -1
+    # Cameras stand for their frames, and nothing is rendered.
     still, moved = predict_noise(
         None,  # type: ignore[arg-type]
         camera,
