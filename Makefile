@@ -72,7 +72,7 @@ $(BIN)/python:
 	@PYTHON=$(PYTHON) sh tools/system-packages.sh venv
 	$(PYTHON) -m venv $(VENV)
 
-$(STAMP): pyproject.toml $(PARTS)
+$(STAMP): pyproject.toml $(PARTS) | $(BIN)/python
 	PYTHONWARNINGS=ignore $(PIP) --no-deps --no-build-isolation -e .
 	touch $@
 

@@ -259,8 +259,6 @@ def tabulate_responses(
     """Tables over the whole surface, or a part of it.
 
     Where the shell repeats itself around (checked), the places of one column are solved and turned.
-    All else is that of ``mesh`` alone: of a shell that is as much softer as its first power is too
-    small.
 
     Parameters
     ----------
@@ -278,6 +276,7 @@ def tabulate_responses(
         Which places are wanted; all without it.
     pair : MeshPair, optional
         Two meshes that the first power of the force is extrapolated from; that of ``mesh`` without.
+        All else is that of ``mesh``.
     bytes_max : float
         Largest tables; places stand wider apart where they would be larger.
 
@@ -350,18 +349,13 @@ def tabulate_responses(
     higher, _, bent = grid.table(
         apart, orders, lambda at: shell.motions(at, radius), powers, what=", large displacements"
     )
-    rows, plain = interpolate_responses(higher, places.point_mm), places.shift_px[:, 0]
-    softer = np.sum(plain * rows[:, 0], axis=1) / np.sum(rows[:, 0] ** 2, axis=1)
-    softness = float(np.median(softer))
-    factor = np.power(softer[:, None], np.arange(2.0, orders + 1.0))
-    more = (factor[:, :, None] * rows[:, 1:]).astype(np.float32)
+    more = interpolate_responses(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
-    along = shear(apart)
     places = replace(
         places,
         shift_px=whole,
         top_N=float(shell.forces[-1]),
-        shear=along.with_rows(along.shift_px * np.float32(softness)),
+        shear=shear(apart),
     )
     progress("places: flat walls")
     places, give = add_membrane_walls(shell, see, places, uv)
@@ -371,7 +365,7 @@ def tabulate_responses(
     holds = unsure == 0 and not give and (shell.beyond == 0 or not places.flat.any())
     pairs = _pairs(shell, see, radius, near, progress) if holds else None
     return TabulatedResponse(
-        places=replace(places, pairs=pairs.scaled(1.0 / softness) if pairs else None),
+        places=replace(places, pairs=pairs),
         solves=solves,
         bent=bent,
         large=shell.solved,

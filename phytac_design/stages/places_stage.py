@@ -35,11 +35,13 @@ EXTRAPOLATED_MARKERS_MAX = 1400
 def mesh_pair(context: Context) -> MeshPair | None:
     """Two meshes of the decoder's shell that linear motion is extrapolated from; None for others.
 
-    Both numbers of elements are even: odd ones do not divide receptors alike. With 2 a wall may be
-    24 % too stiff, from which nothing can be extrapolated.
+    None for tables of higher powers, too: these would be of a stiffer shell. Both numbers of
+    elements are even: odd ones do not divide receptors alike. With 2 a wall may be 24 % too stiff,
+    from which nothing can be extrapolated.
     """
-    large = context.markers.count > EXTRAPOLATED_MARKERS_MAX
-    if context.accuracy.refine != EXTRAPOLATED_REFINE or large:
+    accuracy, count = context.accuracy, context.markers.count
+    linear = accuracy.refine == EXTRAPOLATED_REFINE and accuracy.place_orders == 1
+    if not linear or count > EXTRAPOLATED_MARKERS_MAX:
         return None
     try:
         finer, coarser = (decoder_shell(context, level)[:2] for level in EXTRAPOLATED_MESHES)

@@ -120,6 +120,21 @@ def test_the_average_is_that_of_a_fine_grid(monkeypatch: pytest.MonkeyPatch) -> 
     assert one.sd_mm[0] == pytest.approx(sd_x, rel=0.1)
 
 
+def average_of(
+    locator: ContactLocator, seen: ShiftObservation, fit: contact_fit.ContactFit
+) -> PlaceAverage:
+    """Average of contacts of which switches say nothing."""
+    return PlaceAverage(
+        places=locator.places,
+        prior=locator.prior,
+        noise=locator.noise,
+        seen=seen,
+        fit=fit,
+        scale=1.0,
+        log_switches=lambda states: np.zeros(len(states)),
+    )
+
+
 def own_noise(residual_px: FloatArray) -> place_average._OwnNoise:
     """Noise of a contact's own markers, whose shifts (n,) are so far from the fitted ones."""
     at, locator = np.array([24.0, 33.0, 0.0]), flat_locator(noise_px=0.1)
@@ -130,16 +145,7 @@ def own_noise(residual_px: FloatArray) -> place_average._OwnNoise:
         found=np.ones(2 * len(MARKERS), dtype=np.bool_),
         koi=np.array([nearest(at)]),
     )
-    average = PlaceAverage(
-        places=locator.places,
-        prior=locator.prior,
-        noise=locator.noise,
-        seen=seen,
-        fit=state.fit,
-        scale=1.0,
-        log_switches=lambda states: np.zeros(len(states)),
-    )
-    return average._own_noise(0)
+    return average_of(locator, seen, state.fit)._own_noise(0)
 
 
 def test_a_force_is_as_uncertain_as_its_own_markers_are_noisy() -> None:
@@ -151,6 +157,21 @@ def test_a_force_is_as_uncertain_as_its_own_markers_are_noisy() -> None:
     assert calm.freedom > place_average.SETTINGS.usual_freedom + 4.0
     assert beside.scale > 2.0
     assert elsewhere.scale == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_contact_of_which_no_marker_is_found_is_as_uncertain_as_its_prior() -> None:
+    locator, koi = flat_locator(noise_px=0.1), np.array([nearest(np.array([24.0, 33.0, 0.0]))])
+    nothing = np.full((len(MARKERS), 2), np.nan)
+    for one in locator.find(nothing, koi).contacts:
+        assert np.isfinite([one.force_N, one.sd_N, *one.point_mm, *one.sd_mm]).all()
+        assert one.sd_N > 0.5 * one.force_N
+    state = locator.find(nothing, koi).state
+    assert state is not None
+    seen = ShiftObservation(
+        shift_px=np.zeros(nothing.size), found=np.zeros(nothing.size, dtype=np.bool_), koi=koi
+    )
+    noise = average_of(locator, seen, state.fit)._own_noise(0)
+    assert (noise.scale, noise.freedom) == (1.0, place_average.SETTINGS.usual_freedom)
 
 
 def test_a_density_with_a_scale_that_is_poorly_known_is_student_s() -> None:
@@ -195,15 +216,7 @@ def test_neighbours_follow_a_contact_along_its_places(
     state = locator.find(motion.reshape(-1, 2), koi).state
     assert state is not None
     seen = ShiftObservation(shift_px=motion, found=np.ones(len(motion), dtype=np.bool_), koi=koi)
-    average = PlaceAverage(
-        places=locator.places,
-        prior=locator.prior,
-        noise=locator.noise,
-        seen=seen,
-        fit=state.fit,
-        scale=1.0,
-        log_switches=lambda states: np.zeros(len(states)),
-    )
+    average = average_of(locator, seen, state.fit)
     known = place_average._OwnNoise(scale=1.0, freedom=1e6)
     nodes = average._nodes_along(average._line(0, np.array([1.0, 0.0]), known), 1.0)
     least = min(node.cost for node in nodes)

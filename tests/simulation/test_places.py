@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from phytac_decoder.mechanics.response_table import ResponseTable
+from phytac_design.design.accuracy import settings_of
 from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
 from phytac_design.layout.sensor import Sensor
@@ -36,6 +38,7 @@ from phytac_design.simulation.response_tables import (
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
+from phytac_design.stages.places_stage import mesh_pair
 from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.designs import FINE_CAMERA, drawn, of_shape, small
 
@@ -273,12 +276,10 @@ def shell_of(refine: int) -> tuple[ShellMesh, ShellModel]:
     return mesh, sensor_model(DESIGN, MARKERS, mesh, receptors=True)
 
 
-def test_the_first_power_is_extrapolated_from_two_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_power_is_extrapolated_from_two_meshes() -> None:
     """Against a mesh of twelve elements a pitch, everywhere and beside rims."""
-    # Tables of pairs are of no interest here.
-    monkeypatch.setattr(response_tables, "SETTINGS", InteractionSettings(elements_max=0))
     pair = shell_of(6), shell_of(4)
-    plain, done = (made(4, spacing_mm=12.0, orders=2, pair=each) for each in (None, pair))
+    plain, done = (made(4, spacing_mm=12.0, orders=1, pair=each) for each in (None, pair))
     assert done.solves == plain.solves < len(plain.places.point_mm)
     uv = SURFACE.chart(plain.places.point_mm)
     some = np.arange(0, len(uv), 15)
@@ -291,11 +292,17 @@ def test_the_first_power_is_extrapolated_from_two_meshes(monkeypatch: pytest.Mon
     )
     assert before.mean() > 3.0 * after.mean()
     assert (after < 0.5 * before).all()
-    # Higher powers are those of a shell that is softer by as much.
-    first, more = (each.places.shift_px[:, :2].astype(float) for each in (plain, done))
-    softer = np.sum(first[:, 0] * more[:, 0], axis=1) / np.sum(first[:, 0] ** 2, axis=1)
-    assert softer.min() > 1.01
-    np.testing.assert_allclose(more[:, 1], softer[:, None] ** 2 * first[:, 1], rtol=0.02, atol=1e-3)
+
+
+def test_linear_tables_of_drafts_alone_are_extrapolated() -> None:
+    def pair(**changed: int) -> Any:
+        accuracy = replace(settings_of("draft"), **changed)
+        return mesh_pair(Context(design=DESIGN, accuracy=accuracy, seed=0))
+
+    fine, coarse = (len(mesh.quads) for mesh, _ in pair())
+    assert fine > 2.0 * coarse
+    assert pair(refine=4) is None
+    assert pair(place_orders=4) is None
 
 
 def test_linear_theory_alone_is_the_first_power() -> None:

@@ -231,6 +231,8 @@ class PlaceAverage:
         part = slice(first, first + UNKNOWNS)
         slope, covariance = fit.slope[part], fit.covariance[part, part]
         share = (fit.joint_covariance[first] @ fit.slope) ** 2 * fit.inverse
+        if not share.any():  # No marker that was found says anything of this force.
+            return _OwnNoise(scale=self.scale, freedom=SETTINGS.usual_freedom)
         share /= share.sum()
         taken = fit.inverse * np.einsum("un,un->n", slope, covariance @ slope)
         square = fit.inverse * (self.seen.shift_px - fit.predicted_px) ** 2
