@@ -51,6 +51,7 @@ from phytac_decoder.io.sensor_limits import (
     orientation_notes,
     symmetric_turns,
 )
+from phytac_decoder.vision.picture_quality import FocusCheck
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipCovers, TipModel
@@ -130,6 +131,8 @@ class Bundle:
         Rest positions of the prints that it was trained on, NaN where a marker was not found.
     other_print_mm : float
         How far markers are from there, where the rest frame shows another print; 0 for the same.
+    focus : tuple of FocusCheck or None
+        How the focus of each camera's frames is measured; empty without a rest frame.
     notes : dict
         Provenance: training data, seconds, accuracy. The decoder uses only ``scene``.
     """
@@ -156,6 +159,7 @@ class Bundle:
     turned_deg: float = 0.0
     learnt_rest_px: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 2)))
     other_print_mm: float = 0.0
+    focus: tuple[FocusCheck | None, ...] = ()
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property

@@ -15,6 +15,8 @@ from phytac_decoder.pipeline.decode import Frames, locate_in, prepared_frames
 from phytac_decoder.pipeline.light_response import with_light_response
 from phytac_decoder.pipeline.print_identity import for_this_print
 from phytac_decoder.pipeline.shell_turn import oriented
+from phytac_decoder.vision.matching import areas_px
+from phytac_decoder.vision.picture_quality import FocusCheck
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
 from phytac_decoder.vision.switch_detection import TipModel, red_areas
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
@@ -103,11 +105,15 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     frames = prepared_frames(bundle, rest_frames)
     lit = oriented(replace(bundle, colours=calibrated_colours(bundle, frames)), frames)
     shown, count, marks_px = [], len(bundle.colour), lit.marks.rest_px
-    weights = []
+    weights, focus = [], []
     for number, frame in enumerate(frames):
         old = lit.shown_by(number)
         matched, blobs = locate_in(lit, number, frame)
         weights.append(blobs.usual_weight(len(lit.colours.names)))
+        area = np.where(
+            lit.read_by == number, areas_px(matched, blobs, lit.spot_colour)[:count], np.nan
+        )
+        focus.append(FocusCheck.at_rest(matched.position_px[:count], area))
         moved = np.where(
             matched.found[:, None], matched.position_px - lit.spots_shown_by(number), 0
         )
@@ -126,6 +132,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         lit,
         colours=replace(lit.colours, usual_weight=np.stack(weights)),
         shown=tuple(shown) if bundle.shown else (),
+        focus=tuple(focus),
         marks=replace(lit.marks, rest_px=marks_px),
         rest_px=read([item.rest_px for item in shown]),
         tips=TipModel(

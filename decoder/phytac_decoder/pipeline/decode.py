@@ -52,6 +52,9 @@ class FrameMeasurement:
         Motion of the cameras by reference marks, which is taken off the shifts.
     half_out : (h,) int
         Markers whose tip shows more red than at rest, and less than when its switch is on.
+    blur_px : (c,) float
+        Blur of edges in the frame of each camera, see :class:`.picture_quality.PictureQuality`; NaN
+        if not measured, empty without a rest frame.
     """
 
     koi: IntArray
@@ -60,6 +63,7 @@ class FrameMeasurement:
     merged: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     marked: MarkedMotion | None = None
     half_out: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    blur_px: tuple[float, ...] = ()
 
     def forces_N(self, bundle: Bundle, estimator: str) -> FloatArray:
         """Inward force (n,) N on each marker; zero off the key nodes of interest."""
@@ -94,6 +98,7 @@ class FrameMeasurement:
                 f"only {int(self.found.sum())} of {len(self.found)} markers were found; check "
                 "light, focus and what stands before the camera"
             )
+        out += self._out_of_focus(bundle)
         if bundle.marks.count and self.marked is None:
             out.append(
                 "the reference marks do not show the camera's motion: too few were found, or not "
@@ -139,6 +144,16 @@ class FrameMeasurement:
         if not moved:
             out += self._too_many_switches(bundle, found)
         return out
+
+    def _out_of_focus(self, bundle: Bundle) -> list[str]:
+        """Cameras in whose frames edges are blurred too much for small markers."""
+        return [
+            f"edges are blurred by {blur_px:.1f} px{bundle.of_camera(number)}, and at most "
+            f"{focus.limit_px:.1f} px suit markers this small: forces are doubtful; turn the lens, "
+            "or shorten the exposure if the sensor moves fast"
+            for number, (blur_px, focus) in enumerate(zip(self.blur_px, bundle.focus, strict=False))
+            if focus and blur_px > focus.limit_px
+        ]
 
     def _too_many_switches(self, bundle: Bundle, found: ContactDetection | None) -> list[str]:
         """More switches that are on than contacts can turn on."""
@@ -456,6 +471,7 @@ def measure_frame(
         See :func:`locate_markers`.
     """
     matched, switch_on, half_out = locate_markers(bundle, image_bgr)
+    images = prepared_frames(bundle, image_bgr)
     rest = bundle.spot_rest_px if rest_px is None else rest_px
     position = np.where(matched.merged[:, None], np.nan, matched.position_px)
     koi, shift, marked = corrected_shift(bundle, switch_on, position[: len(rest)] - rest)
@@ -467,6 +483,17 @@ def measure_frame(
         merged=np.flatnonzero(matched.merged[:count]),
         marked=marked,
         half_out=np.flatnonzero(half_out),
+        blur_px=blurs_px(bundle, images, position[:count]),
+    )
+
+
+def blurs_px(
+    bundle: Bundle, images: Sequence[ImageArray], position_px: FloatArray
+) -> tuple[float, ...]:
+    """Blur of each camera's image, of :func:`prepared_frames`, with markers (n, 2) found there."""
+    return tuple(
+        focus.blur_px(image, position_px) if focus else np.nan
+        for focus, image in zip(bundle.focus, images, strict=False)
     )
 
 

@@ -18,6 +18,7 @@ from phytac_decoder.pipeline.decode import (
     FOUND_MIN,
     FrameMeasurement,
     Frames,
+    blurs_px,
     corrected_shift,
     locate_in,
     prepared_frames,
@@ -206,6 +207,7 @@ class Follower:
             position_px=position[:count],
             paint=self._read([item.paint for item in seen])[:count],
             half_out=np.flatnonzero(self._read([item.half_out for item in seen])[:count]),
+            blur_px=blurs_px(bundle, given, position[:count]),
             flags=tuple(flag for item in seen for flag in item.flags),
         )
 

@@ -25,7 +25,7 @@ class CheckLimits:
     Attributes
     ----------
     blur_px : float
-        Blur at the markers.
+        Blur at the markers, unless they are so small that less is too much.
     clipped : float
         Share of clipped pixels around markers.
     dark : float
@@ -89,9 +89,9 @@ class CameraCheck:
         Returns
         -------
         dict or None
-            ``time_s``, ``fps``, ``cameras`` (of each ``blur_px``, ``brightness``, ``clipped``,
-            ``chroma``, ``found``, ``markers``, ``motion_px``, ``scatter_px``) and ``change``: what
-            to change, as sentences. Figures that cannot be measured are NaN.
+            ``time_s``, ``fps``, ``cameras`` (of each ``blur_px``, ``blur_max_px``, ``brightness``,
+            ``clipped``, ``chroma``, ``found``, ``markers``, ``motion_px``, ``scatter_px``) and
+            ``change``: what to change, as sentences. Figures that cannot be measured are NaN.
         """
         if not frame.images:
             self._first = self._before = None
@@ -182,6 +182,7 @@ class CameraCheck:
         paints = (self._lit or self.bundle).colours.chroma[np.unique(self.bundle.colour[own])]
         return {
             "blur_px": quality.blur_px,
+            "blur_max_px": self._blur_max_px(number),
             "brightness": quality.brightness,
             "clipped": quality.clipped,
             "chroma": float(np.linalg.norm(paints, axis=1).min()),
@@ -192,6 +193,11 @@ class CameraCheck:
             "scatter_px": float(np.median(np.abs(step - common)) / 0.6745 / np.sqrt(2.0)),
         }
 
+    def _blur_max_px(self, number: int) -> float:
+        """Limit of the blur of one camera's frames."""
+        focus = self._lit.focus[number] if self._lit else None
+        return min(self.limits.blur_px, focus.limit_px if focus else np.inf)
+
     def _faults(self, figures: dict[str, Any], *, unread: bool) -> list[str]:
         limits, out = self.limits, []
         if not unread and figures["found"] < FOUND_WELL * figures["markers"]:
@@ -199,10 +205,10 @@ class CameraCheck:
                 f"markers missing: {figures['found']} of {figures['markers']} found; check light, "
                 "focus and what stands before the camera"
             )
-        if not figures["blur_px"] <= limits.blur_px:
+        if not figures["blur_px"] <= figures["blur_max_px"]:
             out.append(
                 f"out of focus: edges are blurred by {figures['blur_px']:.1f} px (at most "
-                f"{limits.blur_px:g}); turn the lens, or set --control focus=N"
+                f"{figures['blur_max_px']:.1f}); turn the lens, or set --control focus=N"
             )
         if figures["clipped"] > limits.clipped:
             out.append(

@@ -28,6 +28,17 @@ class Matched:
     merged: BoolArray
 
 
+def areas_px(matched: Matched, blobs: Blobs, colour: IntArray) -> FloatArray:
+    """Area (n,) px of the paint of each marker that is one with no other's; NaN of others.
+
+    ``colour`` (n,) are the markers' paints. Of several blobs of a marker the nearest one counts.
+    """
+    square = squared_distances(matched.position_px, blobs.centroid_px)
+    square[colour[:, None] != blobs.colour] = np.inf
+    nearest = np.argmin(np.nan_to_num(square, nan=np.inf), axis=1)
+    return np.where(matched.found & ~matched.merged, blobs.weight[nearest], np.nan)
+
+
 def nearest_same_colour_px(rest_px: FloatArray, colour: IntArray) -> FloatArray:
     """Distance (n,) of each marker to the nearest other marker of its own colour, px."""
     out = np.full(len(rest_px), np.inf)

@@ -1,11 +1,15 @@
 """Focus, exposure and clipping of a picture, measured at the markers."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
 
-from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+
+STRIP_ROWS = 3
+"""Pixels across the strips in which the blur of edges is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,8 +20,9 @@ class PictureQuality:
     ----------
     blur_px : float
         Standard deviation of the Gaussian that blurs edges of luminance (colours of compressed
-        pictures are coarser), median of the markers; NaN if none shows an edge. Sharp edges give
-        about 0.5; on discs that are smaller than their blur the value is too small.
+        pictures are coarser) along x or along y, whichever is larger; median of the markers; NaN if
+        none shows an edge. Sharp edges give about 0.5; on discs that are smaller than their blur
+        the value is too small.
     brightness : float
         Level of the brightest channel around markers, exceeded by one pixel in twenty: that of the
         wall, or of white dots.
@@ -36,11 +41,10 @@ def picture_quality(image_bgr: ImageArray, place_px: FloatArray) -> PictureQuali
     crops = _crops(image_bgr, place_px)
     if not crops:
         return PictureQuality(blur_px=np.nan, brightness=np.nan, clipped=np.nan)
-    blurs = np.array([_blur_px(crop) for crop in crops])
+    blurs = np.array([_crop_blur_px(crop) for crop in crops])
     level = np.concatenate([crop.max(axis=2).ravel() for crop in crops])
-    known = blurs[np.isfinite(blurs)]
     return PictureQuality(
-        blur_px=float(np.median(known)) if len(known) else np.nan,
+        blur_px=_worse_median(blurs),
         brightness=float(np.percentile(level, 95.0)),
         clipped=float((level >= clipped_level).mean()),
     )
@@ -61,24 +65,115 @@ def _crops(image: ImageArray, place_px: FloatArray) -> list[ImageArray]:
     return out
 
 
-def _blur_px(crop: ImageArray) -> float:
-    """Blur of the edges in a window (h, w, 3); NaN if it shows none.
+def _crop_blur_px(crop: ImageArray) -> FloatArray:
+    """Blur along x and along y in the middle of a window (h, w, 3)."""
+    grey = _grey(crop)
+    y, x = (size // 2 for size in grey.shape)
+    half = STRIP_ROWS // 2
+    strips = grey[y - half : y + half + 1], grey[:, x - half : x + half + 1].T
+    return np.concatenate([_edge_blur_px(strip[None]) for strip in strips])
+
+
+def _grey(pixels: ImageArray) -> ImageArray:
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_BGR2GRAY))
+
+
+def _worse_median(blurs: FloatArray) -> float:
+    """Medians of k blurs along x and along y (k, 2): the larger one; NaN if none is known."""
+    # NaN comes last; numpy's median takes longer than all else.
+    order = np.sort(blurs, axis=0)
+    known = np.count_nonzero(np.isfinite(order), axis=0)
+    middle = [row[count // 2] for row, count in zip(order.T, known, strict=True) if count]
+    return float(max(middle, default=np.nan))
+
+
+def _edge_blur_px(strips: ImageArray) -> FloatArray:
+    """Blur (k,) of the edges across k strips (k, rows, length) of luminance; NaN if one shows none.
 
     The gradient across an edge of contrast C that is blurred by a Gaussian of standard deviation s
-    is C times that Gaussian, so that C·∫g / ∫g² = 2·√π·s·C whatever the edge's length is.
+    is C times that Gaussian, so that C·∫g / ∫g² = 2·√π·s·C however many edges there are.
     """
     contrast_min, share_min = 20.0, 0.2
     # Of gradients below this share of the largest, which noise dominates, these are left out.
     left_out = 1.067
     # Variance of the central difference (over two pixels) and of the pixel itself.
     own_var = 1.0 / 3.0 + 1.0 / 12.0
-    grey = cv2.cvtColor(np.ascontiguousarray(crop), cv2.COLOR_BGR2GRAY).astype(np.float64)
-    low, high = np.percentile(grey, (2.0, 98.0))
-    contrast = float(high - low)
-    if contrast < contrast_min:
-        return np.nan
-    down, across = np.gradient(grey)
-    slope = np.hypot(down, across)[1:-1, 1:-1]
-    slope = slope[slope >= share_min * slope.max()]
-    width = left_out * contrast * slope.sum() / (2.0 * np.sqrt(np.pi) * (slope**2).sum())
-    return float(np.sqrt(max(width**2 - own_var, 0.0)))
+    levels = np.sort(strips.reshape(len(strips), -1), axis=1).astype(np.float32)
+    low, high = (round(part * (levels.shape[1] - 1)) for part in (0.02, 0.98))
+    contrast = levels[:, high] - levels[:, low]
+    grey = strips.astype(np.float32)
+    slope = 0.5 * np.abs(grey[:, :, 2:] - grey[:, :, :-2]).reshape(len(strips), -1)
+    slope[slope < share_min * slope.max(axis=1, keepdims=True)] = 0.0
+    square = np.maximum(np.einsum("ij,ij->i", slope, slope), 1e-12)
+    width = left_out * contrast * slope.sum(axis=1) / (2.0 * np.sqrt(np.pi) * square)
+    blur = np.sqrt(np.maximum(width**2 - own_var, 0.0))
+    return np.where(contrast < contrast_min, np.nan, blur)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FocusCheck:
+    """Markers of one camera at whose edges the focus of every frame is measured.
+
+    Attributes
+    ----------
+    ids : (k,) int
+        Markers of usual size, at most ``count_max``.
+    half_px : int
+        From a marker's centre to the end of the strip across it.
+    limit_px : float
+        Blur, as in :class:`PictureQuality`, that is too much for small markers.
+    """
+
+    ids: IntArray
+    half_px: int
+    limit_px: float
+
+    count_max: ClassVar[int] = 9
+    sharp_px: ClassVar[float] = 0.5
+    """Blur that is measured on sharp edges."""
+    small_quantile: ClassVar[float] = 0.1
+    blur_share: ClassVar[float] = 1.0 / 3.0
+    """Blur that is added to sharp edges may be this share of the radius of a small marker (one in
+    ten is smaller): its circle of confusion, four standard deviations wide, then covers two thirds
+    of the marker's diameter."""
+    beyond_px: ClassVar[float] = 5.0
+    """How far strips reach beyond the edges of markers."""
+
+    @classmethod
+    def at_rest(cls, place_px: FloatArray, area_px: FloatArray) -> "FocusCheck | None":
+        """Choose markers by their places (n, 2) and areas (n,) in the rest frame, NaN if not seen.
+
+        None if no marker is seen.
+        """
+        seen = np.flatnonzero(np.isfinite(area_px) & np.isfinite(place_px).all(axis=1))
+        if not len(seen):
+            return None
+        radius = np.sqrt(area_px / np.pi)
+        usual = float(np.median(radius[seen]))
+        order = np.argsort(np.abs(radius[seen] - usual), kind="stable")
+        small = float(np.quantile(radius[seen], cls.small_quantile))
+        return cls(
+            ids=np.sort(seen[order[: cls.count_max]]),
+            half_px=round(usual + cls.beyond_px),
+            limit_px=float(np.hypot(cls.sharp_px, cls.blur_share * small)),
+        )
+
+    def blur_px(self, frame: ImageArray, place_px: FloatArray) -> float:
+        """Blur of a frame (h, w, 3) with markers at ``place_px`` (n, 2); NaN if none is seen."""
+        height, width = frame.shape[:2]
+        place = place_px[self.ids]
+        edge = self.half_px + 1
+        inside = ((place > edge) & (place < np.array([width, height]) - edge)).all(axis=1)
+        if not inside.any():
+            return np.nan
+        corner = np.rint(place[inside]).astype(np.int64) @ [1, width]
+        along = np.arange(-self.half_px, self.half_px + 1)
+        across = np.arange(STRIP_ROWS)[:, None] - STRIP_ROWS // 2
+        # Strips along x, then along y.
+        offset = np.concatenate([across * width + along, along * width + across])
+        pixels = corner[:, None] + offset.reshape(1, -1)
+        # A pixel is one item, copied as a whole.
+        items = frame.reshape(-1).view(np.dtype((np.void, 3)))
+        grey = _grey(items[pixels].view(np.uint8).reshape(1, -1, 3))
+        blurs = _edge_blur_px(grey.reshape(2 * len(corner), STRIP_ROWS, -1))
+        return _worse_median(blurs.reshape(-1, 2))
