@@ -132,6 +132,15 @@ def test_contacts_that_reach_over_the_end_of_the_surface_are_named(
     assert all("contacts of 9.0 N reach over the end" in text for text in words)
 
 
+def test_contacts_that_may_reach_over_the_end_are_named_too() -> None:
+    """A press over the rim that noise has moved inwards: 95 % of where it may be counts."""
+    found = at_end(np.array([5.0, 30.0, 0.0]), 5.0)
+    (contact,) = found.contacts
+    for sd_mm, over in ((0.4, False), (0.6, True)):
+        found.contacts[:] = [replace(contact, sd_mm=np.array([0.1, sd_mm]))]
+        assert bool(over_rims(found, flat_locator().places)) == over
+
+
 def test_a_frame_warns_of_them() -> None:
     sensor = toy_with_locator()
     count, locator = len(sensor.colour), sensor.model.locator

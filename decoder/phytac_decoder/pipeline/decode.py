@@ -290,13 +290,13 @@ def over_rims(found: ContactDetection, places: ResponseTable, *, inside: float =
     Parameters
     ----------
     inside : float
-        Distance of a contact from the end, less its standard deviation, over the contact's radius,
+        Least distance of a contact from the end in its 95 % interval, over the contact's radius,
         from which on it counts as inside: 5 % of a disc lie beyond.
     """
     if not found.contacts:
         return []
     points = np.stack([one.point_mm for one in found.contacts])
-    distance = places.end_distance_mm(points) - [max(one.sd_mm) for one in found.contacts]
+    distance = places.end_distance_mm(points) - [1.96 * max(one.sd_mm) for one in found.contacts]
     over = [
         one
         for one, gap in zip(found.contacts, distance, strict=True)
