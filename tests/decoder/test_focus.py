@@ -57,6 +57,9 @@ def test_the_limit_is_that_of_small_markers() -> None:
     assert check.limit_px == pytest.approx(np.hypot(0.5, 3.0 / 3.0))
     assert set(check.ids) < set(range(6, 32)) - {8}
     assert check.half_px == 14
+    large = FocusCheck.at_rest(place, 100.0 * area)
+    assert large is not None
+    assert large.limit_px == FocusCheck.most_px
     assert FocusCheck.at_rest(place, np.full(40, np.nan)) is None
 
 

@@ -149,7 +149,7 @@ class FrameMeasurement:
         """Cameras in whose frames edges are blurred too much for small markers."""
         return [
             f"edges are blurred by {blur_px:.1f} px{bundle.of_camera(number)}, and at most "
-            f"{focus.limit_px:.1f} px suit markers this small: forces are doubtful; turn the lens, "
+            f"{focus.limit_px:.1f} px suit these markers: forces are doubtful; turn the lens, "
             "or shorten the exposure if the sensor moves fast"
             for number, (blur_px, focus) in enumerate(zip(self.blur_px, bundle.focus, strict=False))
             if focus and blur_px > focus.limit_px

@@ -121,7 +121,7 @@ class FocusCheck:
     half_px : int
         From a marker's centre to the end of the strip across it.
     limit_px : float
-        Blur, as in :class:`PictureQuality`, that is too much for small markers.
+        Blur, as in :class:`PictureQuality`, above which frames are doubtful.
     """
 
     ids: IntArray
@@ -136,6 +136,8 @@ class FocusCheck:
     """Blur that is added to sharp edges may be this share of the radius of a small marker (one in
     ten is smaller): its circle of confusion, four standard deviations wide, then covers two thirds
     of the marker's diameter."""
+    most_px: ClassVar[float] = 2.5
+    """Larger markers do not allow for more: more was not tried."""
     beyond_px: ClassVar[float] = 5.0
     """How far strips reach beyond the edges of markers."""
 
@@ -155,7 +157,7 @@ class FocusCheck:
         return cls(
             ids=np.sort(seen[order[: cls.count_max]]),
             half_px=round(usual + cls.beyond_px),
-            limit_px=float(np.hypot(cls.sharp_px, cls.blur_share * small)),
+            limit_px=min(float(np.hypot(cls.sharp_px, cls.blur_share * small)), cls.most_px),
         )
 
     def blur_px(self, frame: ImageArray, place_px: FloatArray) -> float:
