@@ -26,6 +26,7 @@ from benchmarks.decoder_data import (
     small_design,
 )
 from benchmarks.decoder_evaluation import by_design, mechanics, train_decoder
+from benchmarks.hands import learnt as learnt_contacts
 from benchmarks.harness import Table, run_parts
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
@@ -35,7 +36,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
 from phytac_design.training.join_datasets import join_samples, select_samples
 from phytac_design.training.training_data import split_data_sets
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray, IntArray
 
 PRINTS = {0: "nominal print", 1: "print 1", 2: "print 2", 3: "print 3"}
 LEARNT, GRIPS, PLATFORM = 598, 100, 450
@@ -51,16 +52,20 @@ SMALL_N = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """Errors of decoded contacts: mean relative, % of the force, and mean absolute, N."""
+    """Errors of decoded contacts: mean relative, % of the force, and mean absolute, N.
+
+    ``together`` says the relative error by the number of contacts that press at a time.
+    """
 
     relative: float
     absolute_N: float
     relative_small: float
     contacts: int
+    together: str
 
     @classmethod
-    def of(cls, decoded_N: FloatArray, force_N: FloatArray) -> "Scores":
-        """Scores of contacts (c,)."""
+    def of(cls, decoded_N: FloatArray, force_N: FloatArray, at_once: IntArray) -> "Scores":
+        """Scores of contacts (c,), each one of so many at a time."""
         off = np.abs(decoded_N - force_N)
         small = force_N < SMALL_N
         return cls(
@@ -68,14 +73,20 @@ class Scores:
             absolute_N=float(off.mean()),
             relative_small=100.0 * float(np.mean((off / force_N)[small])),
             contacts=len(force_N),
+            together=", ".join(
+                f"{100.0 * float(np.mean((off / force_N)[at_once == count])):.3g} % where {count}"
+                for count in np.unique(at_once).tolist()
+            ),
         )
 
 
 def scores(model: ForceModel, samples: Samples, names: tuple[str, ...]) -> dict[str, Scores]:
     """Scores by estimator, over contacts that turned a switch on."""
     found = decode_contacts(model, samples, estimators=list(names))
-    on = found.tripped
-    return {name: Scores.of(found.decoded_N[name][on], found.force_N[on]) for name in names}
+    on, at_once = found.tripped, np.bincount(found.sample)[found.sample]
+    return {
+        name: Scores.of(found.decoded_N[name][on], found.force_N[on], at_once[on]) for name in names
+    }
 
 
 @cache
@@ -113,13 +124,14 @@ def add_rows(
     plain = _by_design(quick=quick)
     scattered = []
     for unit in units:
-        name = PRINTS[unit]
+        name = PRINTS[unit] if linear else f"{PRINTS[unit]}, {route}"
         found = _rows_of_print(table, plain, unit, name, route=route, linear=linear, quick=quick)
         if unit:
             scattered.append(found)
     if len(scattered) > 1:
         mean = float(np.mean([each.relative for each in scattered]))
-        table.goal("mean of three scattered prints: fem_nn: mean relative error", mean, "%", "<= 4")
+        case = "mean of three scattered prints" + ("" if linear else f", {route}")
+        table.goal(f"{case}: fem_nn: mean relative error", mean, "%", "<= 4")
 
 
 def _rows_of_print(
@@ -155,6 +167,10 @@ def _rows_of_print(
     unmeasured = scores(replace(bundle.model, measured=None), test, ("koi_inverse",))
     case = f"{name}: koi_inverse, calibrated, columns by design"
     _add(table, case, unmeasured["koi_inverse"], "")
+    if not linear:
+        assert parts[0].samples is not None
+        locating = learnt_contacts(plain, replace(mine, samples=parts[0].samples), shear=True)
+        _add(table, f"{name}: auto, learnt", scores(locating.model, test, ("auto",))["auto"], "")
     if route == "points":
         _rows_elsewhere(table, plain, bundle, learnt, make, unit=unit, name=name, quick=quick)
     return learnt["fem_nn"]
@@ -206,7 +222,10 @@ def _add(
 ) -> None:
     """Two rows: relative and absolute error of contacts at all heights."""
     source = PAPER if reference else "truth of the simulated sensor"
-    small = f"{score.relative_small:.3g} % below {SMALL_N:g} N; {score.contacts} contacts"
+    small = (
+        f"{score.relative_small:.3g} % below {SMALL_N:g} N; {score.contacts} contacts; "
+        f"{score.together} press at a time"
+    )
     notes = f"{small}; {note}" if note else small
     goal = "<= 2.3" if target else None
     value = float(reference) if reference else "none"
