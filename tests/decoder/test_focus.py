@@ -12,7 +12,9 @@ from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame
 from phytac_decoder.pipeline.frame_reading import read
 from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.serving.camera_check import CameraCheck
+from phytac_decoder.vision.matching import Matched, areas_px
 from phytac_decoder.vision.picture_quality import FocusCheck
+from phytac_decoder.vision.segmentation import Blobs
 from phytac_shapes.arrays import ImageArray
 from tests.decoder.test_camera_check import checked, discs
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
@@ -113,3 +115,21 @@ def test_it_names_the_camera(toy: Bundle) -> None:
     measured = replace(measure_frame(toy, REST), blur_px=(0.5, 3.0))
     (text,) = [text for text in measured.warnings(two, np.zeros(30)) if "edges" in text]
     assert "of the far camera" in text
+
+
+def test_the_area_of_a_marker_is_that_of_its_own_paint_alone() -> None:
+    blobs = Blobs(
+        colour=np.array([0, 1, 0, 0]),
+        centroid_px=np.array([[10.0, 10.0], [11.0, 10.0], [30.0, 10.0], [50.0, 10.0]]),
+        area_px=np.array([30, 40, 50, 60]),
+        weight=np.array([3.0, 4.0, 5.0, 6.0]),
+        box_px=np.zeros((4, 4), dtype=np.int64),
+    )
+    place = np.array([[11.2, 10.0], [10.0, 10.0], [30.0, 10.0], [50.0, 10.0], [np.nan, np.nan]])
+    matched = Matched(
+        position_px=place,
+        found=np.isfinite(place[:, 0]),
+        merged=np.array([False, False, False, True, False]),
+    )
+    area = areas_px(matched, blobs, np.array([0, 1, 0, 0, 1]))
+    np.testing.assert_array_equal(area, [3.0, 4.0, 5.0, np.nan, np.nan])
