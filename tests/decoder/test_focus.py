@@ -34,7 +34,7 @@ def blurred(image: ImageArray, sigma_px: float) -> ImageArray:
 @pytest.mark.parametrize("blur_px", [0.7, 1.5, 3.0])
 def test_blur_of_large_and_small_discs(blur_px: float) -> None:
     image, place = discs(12.0, blur_px)
-    check = FocusCheck.at_rest(place, np.full(9, np.pi * 12.0**2))
+    check = FocusCheck.at_rest(image, place, np.full(9, np.pi * 12.0**2))
     assert check is not None
     assert check.blur_px(image, place) == pytest.approx(blur_px, rel=0.1)
 
@@ -42,7 +42,7 @@ def test_blur_of_large_and_small_discs(blur_px: float) -> None:
 @pytest.mark.parametrize("kernel", [np.ones((1, 9)), np.ones((9, 1))])
 def test_motion_blur_counts_in_either_direction(kernel: np.ndarray) -> None:
     image, place = discs(12.0, 0.5)
-    check = FocusCheck.at_rest(place, np.full(9, np.pi * 12.0**2))
+    check = FocusCheck.at_rest(image, place, np.full(9, np.pi * 12.0**2))
     assert check is not None
     smeared = np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()), dtype=np.uint8)
     # Standard deviation of nine pixels in a row; a box is no Gaussian.
@@ -51,23 +51,27 @@ def test_motion_blur_counts_in_either_direction(kernel: np.ndarray) -> None:
 
 def test_the_limit_is_that_of_small_markers() -> None:
     radius = np.concatenate([np.full(6, 3.0), np.full(26, 9.0), np.full(8, 20.0)])
-    place = np.random.default_rng(1).uniform(50, 400, (40, 2))
+    rng = np.random.default_rng(1)
+    place = rng.uniform(150, 350, (40, 2))
+    noise = rng.integers(0, 255, (500, 500, 3), dtype=np.uint8)
     area = np.pi * radius**2
     area[3], place[8] = np.nan, np.nan
-    check = FocusCheck.at_rest(place, area)
+    check = FocusCheck.at_rest(noise, place, area)
     assert check is not None
     assert check.limit_px == pytest.approx(np.hypot(0.5, 3.0 / 3.0))
     assert set(check.ids) < set(range(6, 32)) - {8}
     assert check.half_px == 14
-    large = FocusCheck.at_rest(place, 100.0 * area)
+    large = FocusCheck.at_rest(noise, place, 100.0 * area)
     assert large is not None
     assert large.limit_px == FocusCheck.most_px
-    assert FocusCheck.at_rest(place, np.full(40, np.nan)) is None
+    assert FocusCheck.at_rest(noise, place, np.full(40, np.nan)) is None
+    # Markers as bright as the wall show no edge.
+    assert FocusCheck.at_rest(np.full_like(noise, 90), place, area) is None
 
 
 def test_markers_at_the_border_or_not_found_do_not_count() -> None:
     image, place = discs(12.0, 1.0)
-    check = FocusCheck.at_rest(place, np.full(9, np.pi * 12.0**2))
+    check = FocusCheck.at_rest(image, place, np.full(9, np.pi * 12.0**2))
     assert check is not None
     gone = place.copy()
     gone[:4] = np.nan
@@ -108,6 +112,12 @@ def test_the_camera_check_uses_the_same_limit(toy: Bundle) -> None:
     soft = blurred(REST, 1.6)
     (text,) = [text for text in checked(lambda _: soft).problems() if "focus" in text]
     assert f"at most {focus.limit_px:.1f}" in text
+
+
+def test_a_frame_without_an_edge_is_doubtful(toy: Bundle) -> None:
+    measured = replace(measure_frame(toy, REST), blur_px=(np.nan,))
+    (text,) = [text for text in measured.warnings(toy, np.zeros(30)) if "edge" in text]
+    assert "no marker's edge" in text
 
 
 def test_it_names_the_camera(toy: Bundle) -> None:

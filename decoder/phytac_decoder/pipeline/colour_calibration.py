@@ -113,7 +113,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         area = np.where(
             lit.read_by == number, areas_px(matched, blobs, lit.spot_colour)[:count], np.nan
         )
-        focus.append(FocusCheck.at_rest(matched.position_px[:count], area))
+        focus.append(FocusCheck.at_rest(frame, matched.position_px[:count], area))
         moved = np.where(
             matched.found[:, None], matched.position_px - lit.spots_shown_by(number), 0
         )

@@ -146,14 +146,22 @@ class FrameMeasurement:
         return out
 
     def _out_of_focus(self, bundle: Bundle) -> list[str]:
-        """Cameras in whose frames edges are blurred too much for small markers."""
-        return [
-            f"edges are blurred by {blur_px:.1f} px{bundle.of_camera(number)}, and at most "
-            f"{focus.limit_px:.1f} px suit these markers: forces are doubtful; turn the lens, "
-            "or shorten the exposure if the sensor moves fast"
-            for number, (blur_px, focus) in enumerate(zip(self.blur_px, bundle.focus, strict=False))
-            if focus and blur_px > focus.limit_px
-        ]
+        """Cameras in whose frames edges are blurred too much, or do not show."""
+        out = []
+        for number, (blur_px, focus) in enumerate(zip(self.blur_px, bundle.focus, strict=False)):
+            which = bundle.of_camera(number)
+            if focus and np.isnan(blur_px):
+                out.append(
+                    f"no marker's edge shows how sharp the frame{which} is, as in the rest frame: "
+                    "forces are doubtful; check light, focus and what stands before the camera"
+                )
+            elif focus and blur_px > focus.limit_px:
+                out.append(
+                    f"edges are blurred by {blur_px:.1f} px{which}, and at most "
+                    f"{focus.limit_px:.1f} px suit these markers: forces are doubtful; turn the "
+                    "lens, or shorten the exposure if the sensor moves fast"
+                )
+        return out
 
     def _too_many_switches(self, bundle: Bundle, found: ContactDetection | None) -> list[str]:
         """More switches that are on than contacts can turn on."""
@@ -365,7 +373,11 @@ def locate_markers(bundle: Bundle, frames: Frames) -> Located:
         If there is not one image for each camera, or one has another size than its camera, or
         shows too few markers.
     """
-    images = prepared_frames(bundle, frames)
+    return _locate(bundle, prepared_frames(bundle, frames))
+
+
+def _locate(bundle: Bundle, images: Sequence[ImageArray]) -> Located:
+    """Find them in images of :func:`prepared_frames`."""
     each = [locate_in(bundle, number, image) for number, image in enumerate(images)]
     position, merged = (
         np.stack(part)[bundle.spot_read_by, np.arange(len(bundle.spot_colour))]
@@ -470,8 +482,8 @@ def measure_frame(
     InputError
         See :func:`locate_markers`.
     """
-    matched, switch_on, half_out = locate_markers(bundle, image_bgr)
     images = prepared_frames(bundle, image_bgr)
+    matched, switch_on, half_out = _locate(bundle, images)
     rest = bundle.spot_rest_px if rest_px is None else rest_px
     position = np.where(matched.merged[:, None], np.nan, matched.position_px)
     koi, shift, marked = corrected_shift(bundle, switch_on, position[: len(rest)] - rest)

@@ -142,10 +142,12 @@ class FocusCheck:
     """How far strips reach beyond the edges of markers."""
 
     @classmethod
-    def at_rest(cls, place_px: FloatArray, area_px: FloatArray) -> "FocusCheck | None":
+    def at_rest(
+        cls, frame: ImageArray, place_px: FloatArray, area_px: FloatArray
+    ) -> "FocusCheck | None":
         """Choose markers by their places (n, 2) and areas (n,) in the rest frame, NaN if not seen.
 
-        None if no marker is seen.
+        None if none of them shows an edge.
         """
         seen = np.flatnonzero(np.isfinite(area_px) & np.isfinite(place_px).all(axis=1))
         if not len(seen):
@@ -154,11 +156,12 @@ class FocusCheck:
         usual = float(np.median(radius[seen]))
         order = np.argsort(np.abs(radius[seen] - usual), kind="stable")
         small = float(np.quantile(radius[seen], cls.small_quantile))
-        return cls(
+        found = cls(
             ids=np.sort(seen[order[: cls.count_max]]),
             half_px=round(usual + cls.beyond_px),
             limit_px=min(float(np.hypot(cls.sharp_px, cls.blur_share * small)), cls.most_px),
         )
+        return None if np.isnan(found.blur_px(frame, place_px)) else found
 
     def blur_px(self, frame: ImageArray, place_px: FloatArray) -> float:
         """Blur of a frame (h, w, 3) with markers at ``place_px`` (n, 2); NaN if none is seen."""
