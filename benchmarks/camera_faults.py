@@ -135,13 +135,18 @@ def binned(image: ImageArray, rng: np.random.Generator) -> ImageArray:
 
 
 def rows_moved(shift: Callable[[FloatArray], FloatArray]) -> Picture:
-    """A rolling shutter: rows at y from 0 to 1 moved sideways, px."""
+    """A rolling shutter: rows at y from 0 to 1 moved sideways, px.
+
+    By Lanczos' filter: a cubic blurs rows that move by half a pixel, and a shutter does not.
+    """
 
     def apply(image: ImageArray, rng: np.random.Generator) -> ImageArray:
         height, width = image.shape[:2]
         y, x = np.mgrid[0:height, 0:width].astype(np.float32)
         x += shift(np.linspace(0.0, 1.0, height))[:, None].astype(np.float32)
-        return np.asarray(cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+        return np.asarray(
+            cv2.remap(image, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+        )
 
     return apply
 

@@ -114,3 +114,43 @@ def test_a_contact_is_tried_only_where_linear_theory_foresees_it(unread_N: float
         found = other.find(both, np.array([nearest(loud)]))
     assert len(found.contacts) == (2 if unread_N else 1)
     assert tried.call_count == (2 if unread_N else 1)
+
+
+def doubtful_press(force_N: float, noise_px: float) -> tuple[ContactLocator, FloatArray]:
+    """A locator of so much noise, and shifts by a press on switches that it cannot read."""
+    at = point(45.0, 45.0)
+    noisy = replace(blind_at(at), noise=ShiftNoise(centroid_px=noise_px))
+    return noisy, shifts(at, force_N).reshape(-1, 2)
+
+
+def test_a_contact_that_noise_nearly_hides_on_unreadable_switches_is_named() -> None:
+    none = np.zeros(0, dtype=np.int64)
+    doubtful, seen = doubtful_press(3.0, 2.0)
+    hidden = doubtful.find(seen, none)
+    assert hidden.contacts == []
+    assert hidden.hidden_N == pytest.approx(3.0, rel=0.3)
+    # In more noise nothing shows it; in less, it is found.
+    drowned, _ = doubtful_press(3.0, 20.0)
+    assert drowned.find(seen, none).hidden_N == 0.0
+    clear, _ = doubtful_press(3.0, 0.02)
+    found = clear.find(seen, none)
+    assert len(found.contacts) == 1
+    assert found.hidden_N == 0.0
+    # Where switches are read, or none is, the others have the last word.
+    assert replace(doubtful, blind=none).find(seen, none).hidden_N == 0.0
+    assert replace(doubtful, blind=np.arange(COUNT)).find(seen, none).hidden_N == 0.0
+    # A motion that no press there makes is not one of these.
+    assert doubtful.find(-seen, none).hidden_N == 0.0
+    # Less than turns a switch on cannot be told from none.
+    weak = doubtful.find(seen * 0.1, none)
+    assert weak.hidden_N == 0.0
+
+
+def test_a_contact_on_unreadable_switches_that_is_not_sure_enough_is_named() -> None:
+    doubtful, seen = doubtful_press(3.0, 0.02)
+    none = np.zeros(0, dtype=np.int64)
+    demanding = replace(SETTINGS, force_sd_min=1e6)
+    with mock.patch.object(locator, "SETTINGS", demanding):
+        hidden = doubtful.find(seen, none)
+    assert hidden.contacts == []
+    assert hidden.hidden_N == pytest.approx(3.0, rel=0.01)

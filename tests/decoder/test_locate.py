@@ -14,7 +14,12 @@ from phytac_decoder.estimation.contact_estimates import LocatedContact
 from phytac_decoder.estimation.contact_fit import SETTINGS as FIT_SETTINGS
 from phytac_decoder.estimation.contact_fit import ShiftObservation, robust_cost
 from phytac_decoder.estimation.force_correction import ForceCorrection
-from phytac_decoder.estimation.locator import SETTINGS, ContactLocator, SwitchForces
+from phytac_decoder.estimation.locator import (
+    SETTINGS,
+    ContactLocator,
+    SwitchForces,
+    sd_with_factor,
+)
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_shapes.arrays import FloatArray
@@ -359,14 +364,28 @@ def test_forces_of_an_unknown_print_are_no_surer_than_its_stiffness() -> None:
     at = point(30.0, 30.0)
     seen = shifts(at, 8.0).reshape(-1, 2), np.array([nearest(at)])
     (unknown,) = LOCATOR.find(*seen).contacts
-    assert unknown.sd_N == pytest.approx(np.hypot(unknown.raw_sd_N, 0.11 * 8.0), rel=1e-3)
+    # The upper end of the 95 % interval of a log-normal factor.
+    assert unknown.sd_N == pytest.approx(8.0 * np.expm1(1.96 * 0.11) / 1.96, rel=5e-3)
     fitted = ForceCorrection.plain(
         low_mm=np.zeros(3),
         size_mm=60.0,
         force_max_N=25.0,
     )
     (known,) = replace(LOCATOR, correction=fitted).find(*seen).contacts
-    assert known.sd_N == known.raw_sd_N == unknown.raw_sd_N < 0.05
+    assert known.raw_sd_N == unknown.raw_sd_N < 0.05
+    assert known.sd_N == pytest.approx(known.raw_sd_N, rel=1e-9)
+
+
+@pytest.mark.parametrize("sd_N", [0.1, 2.0, 5.0])
+def test_intervals_reach_the_upper_end_of_a_force_times_a_factor(sd_N: float) -> None:
+    rng = np.random.default_rng(2)
+    force = 8.0 + sd_N * rng.normal(size=200_000)
+    drawn = force * np.exp(0.2 * rng.normal(size=len(force)))
+    stated = sd_with_factor(np.array([8.0]), np.array([sd_N]), 0.2)[0]
+    high = np.quantile(drawn, 0.975)
+    assert 8.0 + 1.96 * stated == pytest.approx(high, rel=0.04)
+    low = np.quantile(drawn, 0.025)
+    assert 8.0 - 1.96 * stated < low + 0.01 * 8.0
 
 
 def test_scatter_of_prints_is_what_the_twin_presumes() -> None:

@@ -121,7 +121,9 @@ def test_a_wall_that_changes_after_training_widens_intervals() -> None:
     found = [find(replace(locator, stiffness_change=share), AT) for share in (0.0, 0.06)]
     assert found[0].force_N == found[1].force_N
     wider = np.sqrt(found[1].sd_N ** 2 - found[0].sd_N ** 2)
-    assert wider == pytest.approx(0.06 * found[0].force_N, rel=1e-6)
+    # The upper end of the 95 % interval of a log-normal factor.
+    upper_N = found[0].force_N * np.expm1(1.96 * 0.06)
+    assert wider == pytest.approx(upper_N / 1.96, rel=5e-3)
 
 
 def test_a_bundle_expects_the_change_that_it_is_given(tmp_path: Path) -> None:

@@ -106,6 +106,9 @@ class ContactDetection:
     noise_scale : float
         Noise of this frame over the usual one, where that is predicted; the other figures are by
         this noise.
+    hidden_N : float
+        Force of a contact on unreadable switches that the markers do not show clearly enough to
+        report it; 0 if there is none.
     shift_px : (2n,) float
         Predicted shifts: of all contacts, tentative ones included, and by motion of the cameras.
     motion, motion_sd : (q,) float
@@ -122,6 +125,7 @@ class ContactDetection:
     motion_sd: FloatArray = field(default_factory=lambda: np.zeros(0))
     state: FitState | None = None
     noise_scale: float = 1.0
+    hidden_N: float = 0.0
 
     @property
     def chi2_of_usual(self) -> float:

@@ -33,7 +33,7 @@ from phytac_decoder.estimation.contact_shifts import SHEAR_START, UNKNOWNS, Cont
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.friction_prior import SHEAR_SPREAD, average_over_friction
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
-from phytac_decoder.estimation.place_average import PlaceAverage
+from phytac_decoder.estimation.place_average import INTERVAL_SDS, PlaceAverage
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.discs import disc_overlap_share
@@ -64,6 +64,8 @@ class LocatorSettings:
     unreadable_sd_min: float = 3.0
     """Standard deviations by which the force of an unswitched contact must exceed 0, and that of a
     contact all of whose switches are unreadable: they seem on in another light."""
+    hidden_sd_min: float = 2.0
+    """The same for a contact on unreadable switches that may be there, and is not reported."""
     threshold_excess_max: float = 2.0
     """Largest force on a switch that is off, over its threshold: prints scatter."""
     threshold_spread: float = 0.35
@@ -104,6 +106,23 @@ class SwitchForces(NamedTuple):
 
     force_N: FloatArray
     sd_N: FloatArray
+
+
+def sd_with_factor(force_N: FloatArray, sd_N: FloatArray, factor_sd: float) -> FloatArray:
+    """Return the standard deviation (c,) N of forces times a log-normal factor about 1.
+
+    It is such that the 95 % interval about the force reaches the upper end, which is farther away
+    than the lower one. The distances of both upper ends are added in squares, as logarithms.
+
+    Parameters
+    ----------
+    force_N, sd_N : (c,) float
+        Forces, and their standard deviations without the factor.
+    factor_sd : float
+        Standard deviation of the factor's logarithm.
+    """
+    own = np.log1p(INTERVAL_SDS * sd_N / force_N)
+    return np.asarray(force_N * np.expm1(np.hypot(own, INTERVAL_SDS * factor_sd)) / INTERVAL_SDS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -494,6 +513,37 @@ class ContactLocator:
         on = self._carried(state)[self.blind] >= self.threshold_N[self.blind]
         return self.blind[on]
 
+    @property
+    def _some_readable(self) -> bool:
+        return len(self.blind) < len(self.position_mm)
+
+    @cached_property
+    def _blind_places(self) -> tuple[IntArray, FloatArray]:
+        """Places (b,) on unreadable switches, and the threshold (b,) N of the nearest one."""
+        if not len(self.blind) or not self._some_readable:
+            return self.blind[:0], self.threshold_N[:0]
+        gap = np.linalg.norm(
+            self.places.point_mm[:, None] - self.position_mm[self.blind][None], axis=2
+        )
+        on = np.flatnonzero(gap.min(axis=1) <= self.footprint_mm)
+        return on, self.threshold_N[self.blind[gap[on].argmin(axis=1)]]
+
+    def _hidden_N(self, best: ContactFit, seen: ShiftObservation) -> float:
+        """Return the force that residuals show on unreadable switches, and no contact explains.
+
+        It is that of the place which explains most of them; 0 if none turns a switch on.
+        """
+        places, threshold_N = self._blind_places
+        if not len(places):
+            return 0.0
+        weighted = best.inverse * (seen.shift_px - best.predicted_px)
+        size = np.maximum(self._squares[places] @ best.inverse.astype(np.float32), 1e-12)
+        force = (self._first[places] @ weighted.astype(np.float32)) / size
+        gain = force**2 * size
+        gain[force < threshold_N] = 0.0
+        most = int(np.argmax(gain))
+        return float(force[most]) if gain[most] >= SETTINGS.hidden_sd_min**2 else 0.0
+
     def _could_be_off(self, found: ContactFit, koi: IntArray) -> bool:
         """Return whether the last contact agrees with every switch that reads off."""
         carried = self._carried(found.states[-1])
@@ -565,8 +615,11 @@ class ContactLocator:
             motion=best.motion,
             motion_sd=best.motion_sd,
         )
-        if refused or not accepted:
+        if refused:
             return out
+        hidden_N = self._hidden_N(best, seen)
+        if not accepted:
+            return replace(out, hidden_N=hidden_N)
         states, covariances = self._averaged(found, accepted, seen)
         sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
         sd[:, 0] = np.hypot(sd[:, 0], self._force_by_extent(states))
@@ -579,20 +632,22 @@ class ContactLocator:
         owner = np.argmax(raw[:, None] * covered + 1e-6 * started - 1e-9 * gap, axis=0)
         signal = np.array([contact_signal_px(state) for state in states])
         if self.correction is None:
-            force, spread_N = raw, np.hypot(sd[:, 0], SETTINGS.stiffness_sd * raw)
+            force, spread_N, stiffness_sd = raw, sd[:, 0], SETTINGS.stiffness_sd
         else:
             force = raw * self.correction.factor(points, raw, signal)
             spread_N = self.correction.spread_N(force, sd[:, 0])
-            spread_N = np.hypot(spread_N, self.stiffness_change * force)
-        stated_N = np.hypot(spread_N, self._linear_sd_N(raw))
+            stiffness_sd = self.stiffness_change
+        stated_N = np.hypot(sd_with_factor(force, spread_N, stiffness_sd), self._linear_sd_N(raw))
+        spread_N = np.hypot(spread_N, stiffness_sd * force)
         for k, state in enumerate(states):
             on, share = koi[owner == k], covered[k, owner == k]
-            sure = force[k] >= SETTINGS.unreadable_sd_min * spread_N[k]
+            least = SETTINGS.unreadable_sd_min if len(on) else SETTINGS.force_sd_min
+            sure = force[k] >= least * spread_N[k]
             if np.isin(on, self.blind).all() and not sure:
+                if self._some_readable and len(self._unreadable_on(state)):
+                    hidden_N = max(hidden_N, float(force[k]))
                 continue
             if len(on) == 0:
-                if not force[k] >= SETTINGS.force_sd_min * spread_N[k]:
-                    continue
                 on = self._unreadable_on(state)
                 share = self._covered(points[k : k + 1], radius[k : k + 1], on)[1][0]
             out.contacts.append(
@@ -612,7 +667,7 @@ class ContactLocator:
                 )
             )
         out.contacts.sort(key=lambda contact: len(contact.markers) == 0)
-        return out
+        return replace(out, hidden_N=hidden_N)
 
     def _linear_sd_N(self, force_N: FloatArray) -> FloatArray:
         """Return the error (c,) N of linear tables, so that a 90 % interval holds it.

@@ -134,7 +134,7 @@ class FrameMeasurement:
                 f"{most} contacts are the most that are found without switches: there may be more, "
                 "and a force may be the sum of several"
             )
-        out += _rim_warnings(bundle, found)
+        out += _contact_warnings(bundle, found)
         if len(self.half_out) >= HALF_OUT_REPORTED:
             out.append(
                 f"{len(self.half_out)} tips ({id_list(self.half_out)}) show more red than at rest "
@@ -242,12 +242,17 @@ class FrameMeasurement:
         return out
 
 
-def _rim_warnings(bundle: Bundle, found: ContactDetection | None) -> list[str]:
+def _contact_warnings(bundle: Bundle, found: ContactDetection | None) -> list[str]:
     locator = bundle.model.locator
     if locator is None or found is None:
         return []
-    noisy = noisy_rims(found, chi2_allowed=locator.noise.chi2_allowed)
-    return noisy + over_rims(found, locator.places)
+    out = noisy_rims(found, chi2_allowed=locator.noise.chi2_allowed)
+    if found.hidden_N:
+        out.append(
+            f"a contact of {found.hidden_N:.1f} N may be missing where switches cannot be read: "
+            "the markers do not show it clearly; check light and focus"
+        )
+    return out + over_rims(found, locator.places)
 
 
 def noisy_rims(
