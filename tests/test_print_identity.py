@@ -130,11 +130,10 @@ def test_another_print_is_read_as_an_unknown_one(plain: Bundle) -> None:
     koi = np.array([20])
     learnt, unknown = (each.model.contacts(shift, koi).contacts[0] for each in (bundle, now))
     assert learnt.force_N == pytest.approx(1.2 * unknown.force_N, rel=0.02)
-    assert unknown.sd_N == pytest.approx(
-        sd_with_factor(
-            np.array([unknown.force_N]), np.array([unknown.raw_sd_N]), LOCATOR.stiffness_sd
-        )[0]
-    )
+    raw_N = np.array([unknown.force_N]), np.array([unknown.raw_sd_N])
+    stated_N = sd_with_factor(*raw_N, LOCATOR.stiffness_sd)[0]
+    # The error of linear tables is added.
+    assert stated_N <= unknown.sd_N < 1.01 * stated_N
     share = [one.sd_N / one.force_N for one in (learnt, unknown)]
     wider = np.sqrt(LOCATOR.stiffness_sd**2 - bundle.model.locator.correction.spread_share**2)
     assert np.sqrt(share[1] ** 2 - share[0] ** 2) > wider
