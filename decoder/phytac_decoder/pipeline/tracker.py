@@ -22,6 +22,7 @@ from phytac_decoder.pipeline.decode import (
     corrected_shift,
     locate_in,
     prepared_frames,
+    red_shares,
 )
 from phytac_decoder.vision.matching import nearest_same_colour_px, neighbour_median
 from phytac_decoder.vision.segmentation import (
@@ -198,6 +199,7 @@ class Follower:
         position = self._read([item.position_px for item in seen])
         count = len(bundle.colour)
         switch_on = self._read([item.switch_on for item in seen])[:count]
+        half_out = self._read([item.half_out for item in seen])[:count]
         koi, shift, marked = corrected_shift(bundle, switch_on, position - self.rest_px)
         return Followed(
             koi=koi,
@@ -206,8 +208,9 @@ class Follower:
             marked=marked,
             position_px=position[:count],
             paint=self._read([item.paint for item in seen])[:count],
-            half_out=np.flatnonzero(self._read([item.half_out for item in seen])[:count]),
+            half_out=np.flatnonzero(half_out),
             blur_px=blurs_px(bundle, given, position[:count]),
+            red_share=red_shares(bundle, given, position[:count], switch_on | half_out),
             flags=tuple(flag for item in seen for flag in item.flags),
         )
 

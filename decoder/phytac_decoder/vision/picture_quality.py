@@ -1,4 +1,4 @@
-"""Focus, exposure and clipping of a picture, measured at the markers."""
+"""Focus, exposure, clipping and red light of a picture, measured at the markers."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -6,7 +6,7 @@ from typing import ClassVar
 import cv2
 import numpy as np
 
-from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 STRIP_ROWS = 3
 """Pixels across the strips in which the blur of edges is measured."""
@@ -182,3 +182,86 @@ class FocusCheck:
         grey = _grey(items[pixels].view(np.uint8).reshape(1, -1, 3))
         blurs = _edge_blur_px(grey.reshape(2 * len(corner), STRIP_ROWS, -1))
         return _worse_median(blurs.reshape(-1, 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RedLightCheck:
+    """Red of the markers of one camera, by which red light on a part of them is seen.
+
+    A change of exposure, white balance or stray light on the whole picture changes the red of all
+    markers alike, by a factor and an offset. Red on some of them alone shifts their centroids.
+
+    Attributes
+    ----------
+    ids : (k,) int
+        Markers that the rest frame shows.
+    red : (k,) float
+        Level of red in the middle of each, there.
+    """
+
+    ids: IntArray
+    red: FloatArray
+
+    markers_min: ClassVar[int] = 20
+    """Of fewer, nothing is said."""
+    markers_max: ClassVar[int] = 160
+    """Of more, evenly many are left out: it takes 0.1 ms a frame."""
+    level_share: ClassVar[float] = 0.06
+    """Additional red of a marker, over the level of its brightest channel, that is a change."""
+    share_max: ClassVar[float] = 0.1
+    """Share of markers with more red above which frames are doubtful. In mild pictures of four
+    designs it is 0.09 at most (JPEG 90 on ``handle``; 0.07 in all others), under a red glow on a
+    fifth of the picture 0.11 at least."""
+    usual_levels: ClassVar[float] = 5.0
+    """Deviation up to which a marker counts fully for what all have in common."""
+    iterations: ClassVar[int] = 6
+
+    @classmethod
+    def at_rest(cls, frame: ImageArray, place_px: FloatArray) -> "RedLightCheck | None":
+        """Measure markers at ``place_px`` (n, 2), NaN if not seen; None if they are too few."""
+        seen, red, _ = _middle_levels(frame, place_px)
+        if len(red) < cls.markers_min:
+            return None
+        count = min(len(red), cls.markers_max)
+        chosen = np.linspace(0, len(red) - 1, count).round().astype(np.int64)
+        return cls(ids=np.flatnonzero(seen)[chosen], red=red[chosen])
+
+    def changed_share(self, frame: ImageArray, place_px: FloatArray, left_out: BoolArray) -> float:
+        """Share of markers at ``place_px`` (n, 2) with more red than their own and the others' say.
+
+        NaN if too few are seen; markers that are left out (n,), as their tips are red, do not
+        count.
+        """
+        place_px = np.where(left_out[self.ids, None], np.nan, place_px[self.ids])
+        seen, now, brightest = _middle_levels(frame, place_px)
+        if len(now) < self.markers_min:
+            return np.nan
+        before, weight = self.red[seen], np.ones(len(now))
+        off = now
+        for _ in range(self.iterations):
+            total = weight.sum()
+            mean, mean_now = weight @ before / total, weight @ now / total
+            aside = before - mean
+            slope = weight @ (aside * now) / max(float(weight @ aside**2), 1e-9)
+            off = now - mean_now - slope * aside
+            weight = 1.0 / (1.0 + (off / self.usual_levels) ** 2)
+        changed = off > self.level_share * brightest
+        return float(np.count_nonzero(changed) / len(changed))
+
+
+def _middle_levels(
+    image: ImageArray, place_px: FloatArray
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Which of markers at places (n, 2) are seen (n,), and levels in the middle of these k.
+
+    The levels are the mean red (k,) of three by three pixels, and the brightest channel (k,) of the
+    middle one.
+    """
+    height, width = image.shape[:2]
+    # NaN is not inside.
+    inside = ((place_px >= 1.0) & (place_px <= np.array([width, height]) - 2.0)).all(axis=1)
+    middle = np.rint(place_px[inside]).astype(np.int64) @ [1, width]
+    around = (np.arange(-1, 2)[:, None] * width + np.arange(-1, 2)).reshape(-1)
+    pixels = image.reshape(-1, 3)
+    red = image.reshape(-1)[(3 * middle + 2)[:, None] + 3 * around]
+    return inside, red @ np.full(9, 1.0 / 9.0), pixels[middle].max(axis=1).astype(np.float64)
