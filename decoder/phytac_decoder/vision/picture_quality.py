@@ -259,9 +259,11 @@ def _middle_levels(
     """
     height, width = image.shape[:2]
     # NaN is not inside.
-    inside = ((place_px >= 1.0) & (place_px <= np.array([width, height]) - 2.0)).all(axis=1)
+    within = (place_px >= 1.0) & (place_px <= np.array([width, height]) - 2.0)
+    inside = np.asarray(within.all(axis=1))
     middle = np.rint(place_px[inside]).astype(np.int64) @ [1, width]
     around = (np.arange(-1, 2)[:, None] * width + np.arange(-1, 2)).reshape(-1)
     pixels = image.reshape(-1, 3)
     red = image.reshape(-1)[(3 * middle + 2)[:, None] + 3 * around]
-    return inside, red @ np.full(9, 1.0 / 9.0), pixels[middle].max(axis=1).astype(np.float64)
+    brightest = np.asarray(pixels[middle].max(axis=1), dtype=np.float64)
+    return inside, np.asarray(red @ np.full(9, 1.0 / 9.0)), brightest
