@@ -146,6 +146,17 @@ def test_a_contact_that_noise_nearly_hides_on_unreadable_switches_is_named() -> 
     assert weak.hidden_N == 0.0
 
 
+def test_a_hidden_contact_is_sought_beside_markers_too() -> None:
+    gap = np.linalg.norm(MARKERS[:, None] - LOCATOR.places.point_mm, axis=2).min(axis=1)
+    inside = ((MARKERS > 20.0) & (MARKERS < 40.0))[:, :2].all(axis=1)
+    (beside, *_) = np.flatnonzero(inside & (gap > 0.5))
+    one = replace(LOCATOR, blind=np.array([beside]), noise=ShiftNoise(centroid_px=2.0))
+    seen = shifts(MARKERS[beside], 3.0).reshape(-1, 2)
+    hidden = one.find(seen, np.zeros(0, dtype=np.int64))
+    assert hidden.contacts == []
+    assert hidden.hidden_N == pytest.approx(3.0, rel=0.05)
+
+
 def test_a_contact_on_unreadable_switches_that_is_not_sure_enough_is_named() -> None:
     doubtful, seen = doubtful_press(3.0, 0.02)
     none = np.zeros(0, dtype=np.int64)

@@ -203,6 +203,19 @@ def test_forces_on_unreadable_switches_are_sent(
     assert sent["total_N"] == 5.0
 
 
+def test_a_contact_that_unreadable_switches_may_hide_is_named(
+    pressed: tuple[Bundle, FrameMeasurement], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle, measured = pressed
+    found = ContactDetection(
+        contacts=[], reduced_chi2=1.0, shift_px=np.zeros(2 * len(measured.found)), hidden_N=3.14
+    )
+    for each, named in ((found, True), (replace(found, hidden_N=0.0), False)):
+        monkeypatch.setattr(ForceModel, "contacts", lambda *_, each=each, **__: each)
+        warnings = reading_module.read(bundle, measured, "auto").warnings
+        assert any("contact of 3.1 N may be missing" in text for text in warnings) == named
+
+
 def test_an_unreadable_switch_without_force_is_not_on(
     pressed: tuple[Bundle, FrameMeasurement], monkeypatch: pytest.MonkeyPatch
 ) -> None:

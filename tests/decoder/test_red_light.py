@@ -78,6 +78,15 @@ def test_what_changes_the_red_of_all_alike_is_no_red_light(
     assert share(np.clip(change(dots()), 0, 255).astype(np.uint8)) == 0.0
 
 
+def test_of_many_markers_evenly_many_are_taken() -> None:
+    many = np.stack(np.meshgrid(np.arange(5, 155, 5), np.arange(5, 115, 5)), -1).reshape(-1, 2)
+    check = RedLightCheck.at_rest(dots(), many.astype(np.float64))
+    assert check is not None
+    assert len(check.ids) == RedLightCheck.markers_max
+    assert (check.ids[0], check.ids[-1]) == (0, len(many) - 1)
+    assert np.diff(check.ids).max() == np.ceil(len(many) / len(check.ids))
+
+
 def test_shade_on_a_part_is_no_red_light() -> None:
     dark = dots()
     dark[:, :60] //= 2
