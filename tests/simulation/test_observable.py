@@ -230,7 +230,7 @@ def test_frames_warn_where_contacts_without_switches_may_be_more(
     bundle = sound()
     measured = pressed(bundle, {}, [])
     for owner, name in (
-        (decode, "_rim_warnings"),
+        (decode, "_contact_warnings"),
         (FrameMeasurement, "moved_cameras"),
         (FrameMeasurement, "_motion_faults"),
         (FrameMeasurement, "_too_many_switches"),
