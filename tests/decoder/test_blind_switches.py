@@ -136,14 +136,16 @@ def test_a_contact_that_noise_nearly_hides_on_unreadable_switches_is_named() -> 
     found = clear.find(seen, none)
     assert len(found.contacts) == 1
     assert found.hidden_N == 0.0
-    # Where switches are read, or none is, the others have the last word.
+    # Nothing is hidden where all switches can be read; sensors without switches are left out.
     assert replace(doubtful, blind=none).find(seen, none).hidden_N == 0.0
     assert replace(doubtful, blind=np.arange(COUNT)).find(seen, none).hidden_N == 0.0
-    # A motion that no press there makes is not one of these.
+    # A pull outwards is no press.
     assert doubtful.find(-seen, none).hidden_N == 0.0
-    # Less than turns a switch on cannot be told from none.
-    weak = doubtful.find(seen * 0.1, none)
-    assert weak.hidden_N == 0.0
+    # A force that turns no switch on is not looked for.
+    weak, seen = doubtful_press(0.4, 0.2)
+    assert weak.find(seen, none).hidden_N == 0.0
+    sensitive = replace(weak, threshold_N=0.5 * weak.threshold_N)
+    assert sensitive.find(seen, none).hidden_N == pytest.approx(0.4, rel=0.1)
 
 
 def test_a_hidden_contact_is_sought_beside_markers_too() -> None:

@@ -486,10 +486,7 @@ class ContactLocator:
         self, best: ContactFit, seen: ShiftObservation, drop: float
     ) -> ContactState | None:
         """Return the contact that explains most of the residual; None below a drop of χ²."""
-        weighted = best.inverse * (seen.shift_px - best.predicted_px)
-        pull = self._first @ weighted.astype(np.float32)
-        size = np.maximum(self._squares @ best.inverse.astype(np.float32), 1e-12)
-        gain = np.where(pull > 0.0, pull, 0.0) ** 2 / size
+        force, gain = self._by_residual(best, seen, slice(None))
         place = int(np.argmax(gain))
         if gain[place] < drop:
             return None
@@ -497,9 +494,21 @@ class ContactLocator:
             self.places,
             self.prior,
             self.places.point_mm[place],
-            float(pull[place] / size[place]),
+            float(force[place]),
             place_sd_mm=2.0 * self.places.spacing_mm,
         )
+
+    def _by_residual(
+        self, best: ContactFit, seen: ShiftObservation, places: IntArray | slice
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the force (p,) N at each of places that explains most of the residual.
+
+        And by how much it lowers χ² (p,): 0 for a force outwards.
+        """
+        weighted = best.inverse * (seen.shift_px - best.predicted_px)
+        pull = self._first[places] @ weighted.astype(np.float32)
+        size = np.maximum(self._squares[places] @ best.inverse.astype(np.float32), 1e-12)
+        return pull / size, np.where(pull > 0.0, pull, 0.0) ** 2 / size
 
     def _carried(self, state: ContactState) -> FloatArray:
         """Return the force (n,) N of a contact on each switch."""
@@ -536,10 +545,7 @@ class ContactLocator:
         places, threshold_N = self._blind_places
         if not len(places):
             return 0.0
-        weighted = best.inverse * (seen.shift_px - best.predicted_px)
-        size = np.maximum(self._squares[places] @ best.inverse.astype(np.float32), 1e-12)
-        force = (self._first[places] @ weighted.astype(np.float32)) / size
-        gain = force**2 * size
+        force, gain = self._by_residual(best, seen, places)
         gain[force < threshold_N] = 0.0
         most = int(np.argmax(gain))
         return float(force[most]) if gain[most] >= SETTINGS.hidden_sd_min**2 else 0.0

@@ -205,13 +205,13 @@ class RedLightCheck:
     markers_min: ClassVar[int] = 20
     """Of fewer, nothing is said."""
     markers_max: ClassVar[int] = 160
-    """Of more, evenly many are left out: it takes 0.1 ms a frame."""
+    """Of more, so many are chosen at even steps: the check takes 0.16 ms a frame."""
     level_share: ClassVar[float] = 0.06
     """Additional red of a marker, over the level of its brightest channel, that is a change."""
     share_max: ClassVar[float] = 0.1
-    """Share of markers with more red above which frames are doubtful. In mild pictures of four
-    designs it is 0.09 at most (JPEG 90 on ``handle``; 0.07 in all others), under a red glow on a
-    fifth of the picture 0.11 at least."""
+    """Share of markers with more red above which frames are doubtful. In mild pictures of six
+    designs it is 0.09 at most, but 0.12 with JPEG 90 on small markers; under a red glow on a fifth
+    of the picture 0.107 at least."""
     usual_levels: ClassVar[float] = 5.0
     """Deviation up to which a marker counts fully for what all have in common."""
     iterations: ClassVar[int] = 6
@@ -227,10 +227,10 @@ class RedLightCheck:
         return cls(ids=np.flatnonzero(seen)[chosen], red=red[chosen])
 
     def changed_share(self, frame: ImageArray, place_px: FloatArray, left_out: BoolArray) -> float:
-        """Share of markers at ``place_px`` (n, 2) with more red than their own and the others' say.
+        """Share of markers at ``place_px`` (n, 2) that are redder than at rest, unlike the others.
 
-        NaN if too few are seen; markers that are left out (n,), as their tips are red, do not
-        count.
+        The change that all have in common is a line, fitted robustly. NaN if too few are seen;
+        markers that are left out (n,), because their tips are red, do not count.
         """
         place_px = np.where(left_out[self.ids, None], np.nan, place_px[self.ids])
         seen, now, brightest = _middle_levels(frame, place_px)
