@@ -51,7 +51,7 @@ from phytac_decoder.io.sensor_limits import (
     orientation_notes,
     symmetric_turns,
 )
-from phytac_decoder.vision.picture_quality import FocusCheck, RedLightCheck
+from phytac_decoder.vision.picture_quality import FocusCheck, LightCheck
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipCovers, TipModel
@@ -133,8 +133,8 @@ class Bundle:
         How far markers are from there, where the rest frame shows another print; 0 for the same.
     focus : tuple of FocusCheck or None
         How the focus of each camera's frames is measured; empty without a rest frame.
-    red_light : tuple of RedLightCheck or None
-        The red of each camera's markers at rest; empty without a rest frame.
+    light : tuple of LightCheck or None
+        Levels of each camera's markers at rest; empty without a rest frame.
     notes : dict
         Provenance: training data, seconds, accuracy. The decoder uses only ``scene``.
     """
@@ -162,7 +162,7 @@ class Bundle:
     learnt_rest_px: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 2)))
     other_print_mm: float = 0.0
     focus: tuple[FocusCheck | None, ...] = ()
-    red_light: tuple[RedLightCheck | None, ...] = ()
+    light: tuple[LightCheck | None, ...] = ()
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property

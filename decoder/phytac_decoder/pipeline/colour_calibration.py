@@ -16,7 +16,7 @@ from phytac_decoder.pipeline.light_response import with_light_response
 from phytac_decoder.pipeline.print_identity import for_this_print
 from phytac_decoder.pipeline.shell_turn import oriented
 from phytac_decoder.vision.matching import areas_px
-from phytac_decoder.vision.picture_quality import FocusCheck, RedLightCheck
+from phytac_decoder.vision.picture_quality import FocusCheck, LightCheck
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
 from phytac_decoder.vision.switch_detection import TipModel, red_areas
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
@@ -105,7 +105,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     frames = prepared_frames(bundle, rest_frames)
     lit = oriented(replace(bundle, colours=calibrated_colours(bundle, frames)), frames)
     shown, count, marks_px = [], len(bundle.colour), lit.marks.rest_px
-    weights, focus, red_light = [], [], []
+    weights, focus, light = [], [], []
     for number, frame in enumerate(frames):
         old = lit.shown_by(number)
         matched, blobs = locate_in(lit, number, frame)
@@ -115,7 +115,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         )
         focus.append(FocusCheck.at_rest(frame, matched.position_px[:count], area))
         own_px = np.where(np.isfinite(area)[:, None], matched.position_px[:count], np.nan)
-        red_light.append(RedLightCheck.at_rest(frame, own_px))
+        light.append(LightCheck.at_rest(frame, own_px))
         moved = np.where(
             matched.found[:, None], matched.position_px - lit.spots_shown_by(number), 0
         )
@@ -135,7 +135,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         colours=replace(lit.colours, usual_weight=np.stack(weights)),
         shown=tuple(shown) if bundle.shown else (),
         focus=tuple(focus),
-        red_light=tuple(red_light),
+        light=tuple(light),
         marks=replace(lit.marks, rest_px=marks_px),
         rest_px=read([item.rest_px for item in shown]),
         tips=TipModel(

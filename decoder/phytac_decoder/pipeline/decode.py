@@ -15,7 +15,7 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_decoder.pipeline.fault_detection import SETTINGS as FAULT_SETTINGS
 from phytac_decoder.pipeline.fault_detection import FaultDetector, unreached_switches
 from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers
-from phytac_decoder.vision.picture_quality import RedLightCheck
+from phytac_decoder.vision.picture_quality import LightChange, LightCheck
 from phytac_decoder.vision.segmentation import Blobs, check_image, segment_in_its_light
 from phytac_decoder.vision.switch_detection import HALF_OUT_REPORTED, read_switches
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
@@ -56,9 +56,9 @@ class FrameMeasurement:
     blur_px : (c,) float
         Blur of edges in the frame of each camera, see :class:`.picture_quality.PictureQuality`; NaN
         if not measured, empty without a rest frame.
-    red_share : (c,) float
-        Share of markers in the frame of each camera with more red than at rest, unlike the others,
-        see :class:`.picture_quality.RedLightCheck`; NaN and empty as above.
+    light : (c,) LightChange or None
+        Red light and overexposure in the frame of each camera, see
+        :class:`.picture_quality.LightCheck`; None if not measured, empty as above.
     """
 
     koi: IntArray
@@ -68,7 +68,7 @@ class FrameMeasurement:
     marked: MarkedMotion | None = None
     half_out: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     blur_px: tuple[float, ...] = ()
-    red_share: tuple[float, ...] = ()
+    light: tuple[LightChange | None, ...] = ()
 
     def forces_N(self, bundle: Bundle, estimator: str) -> FloatArray:
         """Inward force (n,) N on each marker; zero off the key nodes of interest."""
@@ -103,7 +103,7 @@ class FrameMeasurement:
                 f"only {int(self.found.sum())} of {len(self.found)} markers were found; check "
                 "light, focus and what stands before the camera"
             )
-        out += self._out_of_focus(bundle) + self._red_light(bundle)
+        out += self._out_of_focus(bundle) + self._light_warnings(bundle)
         if bundle.marks.count and self.marked is None:
             out.append(
                 "the reference marks do not show the camera's motion: too few were found, or not "
@@ -168,15 +168,24 @@ class FrameMeasurement:
                 )
         return out
 
-    def _red_light(self, bundle: Bundle) -> list[str]:
-        """Cameras in whose frames red light falls on some markers."""
-        return [
-            f"{100.0 * share:.0f} % of the markers{bundle.of_camera(number)} have more red than at "
-            "rest, and the others do not: forces there are doubtful; keep red light off the wall, "
-            "or take a new rest frame"
-            for number, share in enumerate(self.red_share)
-            if share > RedLightCheck.share_max
-        ]
+    def _light_warnings(self, bundle: Bundle) -> list[str]:
+        """Cameras in whose frames red light falls on some markers, or markers are overexposed."""
+        out = []
+        for number, light in enumerate(self.light):
+            which = bundle.of_camera(number)
+            if light and light.red_share > LightCheck.share_max:
+                out.append(
+                    f"{100.0 * light.red_share:.0f} % of the markers{which} have more red than at "
+                    "rest, and the others do not: forces there are doubtful; keep red light off "
+                    "the wall, or take a new rest frame"
+                )
+            if light and light.beyond_range > LightCheck.beyond_range_max:
+                out.append(
+                    f"overexposed: most markers{which} are clipped, and would be "
+                    f"{light.beyond_range:.1f} times as bright as the picture can show: forces are "
+                    "doubtful; shorten the exposure or lower the gain"
+                )
+        return out
 
     def _too_many_switches(self, bundle: Bundle, found: ContactDetection | None) -> list[str]:
         """More switches that are on than contacts can turn on."""
@@ -516,7 +525,7 @@ def measure_frame(
         marked=marked,
         half_out=np.flatnonzero(half_out),
         blur_px=blurs_px(bundle, images, position[:count]),
-        red_share=red_shares(bundle, images, position[:count], switch_on | half_out),
+        light=light_changes(bundle, images, position[:count], switch_on | half_out),
     )
 
 
@@ -530,16 +539,16 @@ def blurs_px(
     )
 
 
-def red_shares(
+def light_changes(
     bundle: Bundle, images: Sequence[ImageArray], position_px: FloatArray, red: BoolArray
-) -> tuple[float, ...]:
-    """Share of markers with more red in each camera's image, without those (n,) with red tips.
+) -> tuple[LightChange | None, ...]:
+    """Changes of light in each camera's image, by markers other than those (n,) with red tips.
 
     Images and positions are as in :func:`blurs_px`.
     """
     return tuple(
-        check.changed_share(image, position_px, red) if check else np.nan
-        for check, image in zip(bundle.red_light, images, strict=False)
+        check.change(image, position_px, red) if check else None
+        for check, image in zip(bundle.light, images, strict=False)
     )
 
 

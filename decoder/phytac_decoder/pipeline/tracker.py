@@ -20,9 +20,9 @@ from phytac_decoder.pipeline.decode import (
     Frames,
     blurs_px,
     corrected_shift,
+    light_changes,
     locate_in,
     prepared_frames,
-    red_shares,
 )
 from phytac_decoder.vision.matching import nearest_same_colour_px, neighbour_median
 from phytac_decoder.vision.segmentation import (
@@ -210,7 +210,7 @@ class Follower:
             paint=self._read([item.paint for item in seen])[:count],
             half_out=np.flatnonzero(half_out),
             blur_px=blurs_px(bundle, given, position[:count]),
-            red_share=red_shares(bundle, given, position[:count], switch_on | half_out),
+            light=light_changes(bundle, given, position[:count], switch_on | half_out),
             flags=tuple(flag for item in seen for flag in item.flags),
         )
 

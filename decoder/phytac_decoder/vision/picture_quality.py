@@ -10,6 +10,8 @@ from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 STRIP_ROWS = 3
 """Pixels across the strips in which the blur of edges is measured."""
+MEAN_OF_NINE = np.tile(np.eye(3) / 9.0, (9, 1))
+"""Mean of nine pixels of three channels: a product takes a tenth of the time of ``mean``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,27 +187,49 @@ class FocusCheck:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RedLightCheck:
-    """Red of the markers of one camera, by which red light on a part of them is seen.
+class LightChange:
+    """What :class:`LightCheck` finds in a frame.
+
+    Attributes
+    ----------
+    red_share : float
+        Share of markers that are redder than at rest, unlike the others.
+    beyond_range : float
+        Level that most markers would have over the highest that the picture can show, where most of
+        them are clipped; 0 where they are not.
+    """
+
+    red_share: float
+    beyond_range: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightCheck:
+    """Levels of the markers of one camera at rest, by which red light and overexposure are seen.
 
     A change of exposure, white balance or stray light on the whole picture changes the red of all
     markers alike, by a factor and an offset. Red on some of them alone shifts their centroids.
+    Channels that are dim at rest show by how much the exposure has grown when bright ones are
+    clipped.
 
     Attributes
     ----------
     ids : (k,) int
         Markers that the rest frame shows.
-    red : (k,) float
-        Level of red in the middle of each, there.
+    level : (k, 3) float
+        Blue, green and red in the middle of each, there.
+    brightest : float
+        Level of the brightest channel there: median of the markers.
     """
 
     ids: IntArray
-    red: FloatArray
+    level: FloatArray
+    brightest: float
 
     markers_min: ClassVar[int] = 20
     """Of fewer, nothing is said."""
     markers_max: ClassVar[int] = 160
-    """Of more, so many are chosen at even steps: the check takes 0.16 ms a frame."""
+    """Of more, so many are chosen at even steps: the check takes COST ms a frame."""
     level_share: ClassVar[float] = 0.06
     """Additional red of a marker, over the level of its brightest channel, that is a change."""
     share_max: ClassVar[float] = 0.1
@@ -215,29 +239,48 @@ class RedLightCheck:
     usual_levels: ClassVar[float] = 5.0
     """Deviation up to which a marker counts fully for what all have in common."""
     iterations: ClassVar[int] = 6
+    dim_levels: ClassVar[tuple[float, float]] = (15.0, 115.0)
+    """Channels between these levels at rest show the exposure: twice as bright, they are neither
+    lost in noise nor clipped."""
+    clipped_level: ClassVar[int] = 254
+    beyond_range_max: ClassVar[float] = 1.3
+    """Frames are doubtful if markers would be brighter than the picture can show by this factor. On
+    four designs it is 1.0 to 1.1 at 1.4 times the exposure, and 1.4 to 1.6 at twice."""
 
     @classmethod
-    def at_rest(cls, frame: ImageArray, place_px: FloatArray) -> "RedLightCheck | None":
+    def at_rest(cls, frame: ImageArray, place_px: FloatArray) -> "LightCheck | None":
         """Measure markers at ``place_px`` (n, 2), NaN if not seen; None if they are too few."""
-        seen, red, _ = _middle_levels(frame, place_px)
-        if len(red) < cls.markers_min:
+        seen, level, brightest = _middle_levels(frame, place_px)
+        if len(level) < cls.markers_min:
             return None
-        count = min(len(red), cls.markers_max)
-        chosen = np.linspace(0, len(red) - 1, count).round().astype(np.int64)
-        return cls(ids=np.flatnonzero(seen)[chosen], red=red[chosen])
+        count = min(len(level), cls.markers_max)
+        chosen = np.linspace(0, len(level) - 1, count).round().astype(np.int64)
+        return cls(
+            ids=np.flatnonzero(seen)[chosen],
+            level=level[chosen],
+            brightest=float(np.median(brightest[chosen])),
+        )
 
-    def changed_share(self, frame: ImageArray, place_px: FloatArray, left_out: BoolArray) -> float:
-        """Share of markers at ``place_px`` (n, 2) that are redder than at rest, unlike the others.
+    def change(
+        self, frame: ImageArray, place_px: FloatArray, left_out: BoolArray
+    ) -> LightChange | None:
+        """Compare markers at ``place_px`` (n, 2) with those at rest; None if too few are seen.
 
-        The change that all have in common is a line, fitted robustly. NaN if too few are seen;
-        markers that are left out (n,), because their tips are red, do not count.
+        Markers that are left out (n,), because their tips are red, do not count.
         """
         place_px = np.where(left_out[self.ids, None], np.nan, place_px[self.ids])
-        seen, now, brightest = _middle_levels(frame, place_px)
-        if len(now) < self.markers_min:
-            return np.nan
-        before, weight = self.red[seen], np.ones(len(now))
-        off = now
+        seen, level, brightest = _middle_levels(frame, place_px)
+        if len(level) < self.markers_min:
+            return None
+        before = self.level[seen]
+        return LightChange(
+            red_share=self._red_share(before[:, 2], level[:, 2], brightest),
+            beyond_range=self._beyond_range(before, level, brightest),
+        )
+
+    def _red_share(self, before: FloatArray, now: FloatArray, brightest: FloatArray) -> float:
+        """Share of markers whose red (k,) is above the line, fitted robustly, of all of them."""
+        weight, off = np.ones(len(now)), now
         for _ in range(self.iterations):
             total = weight.sum()
             mean, mean_now = weight @ before / total, weight @ now / total
@@ -248,22 +291,31 @@ class RedLightCheck:
         changed = off > self.level_share * brightest
         return float(np.count_nonzero(changed) / len(changed))
 
+    def _beyond_range(self, before: FloatArray, now: FloatArray, brightest: FloatArray) -> float:
+        """See :class:`LightChange`, by levels (k, 3) at rest and in a frame."""
+        if np.count_nonzero(brightest >= self.clipped_level) <= len(brightest) // 2:
+            return 0.0
+        dim = (before >= self.dim_levels[0]) & (before <= self.dim_levels[1])
+        if not dim.any():
+            return 0.0
+        return float(np.median(now[dim] / before[dim])) * self.brightest / 255.0
+
 
 def _middle_levels(
     image: ImageArray, place_px: FloatArray
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
     """Which of markers at places (n, 2) are seen (n,), and levels in the middle of these k.
 
-    The levels are the mean red (k,) of three by three pixels, and the brightest channel (k,) of the
-    middle one.
+    The levels are the mean blue, green and red (k, 3) of three by three pixels, and the brightest
+    channel (k,) of the middle one.
     """
     height, width = image.shape[:2]
     # NaN is not inside.
     within = (place_px >= 1.0) & (place_px <= np.array([width, height]) - 2.0)
     inside = np.asarray(within.all(axis=1))
     middle = np.rint(place_px[inside]).astype(np.int64) @ [1, width]
-    around = (np.arange(-1, 2)[:, None] * width + np.arange(-1, 2)).reshape(-1)
-    pixels = image.reshape(-1, 3)
-    red = image.reshape(-1)[(3 * middle + 2)[:, None] + 3 * around]
-    brightest = np.asarray(pixels[middle].max(axis=1), dtype=np.float64)
-    return inside, np.asarray(red @ np.full(9, 1.0 / 9.0)), brightest
+    # Rows of three pixels, of three channels each.
+    around = (3 * width * np.arange(-1, 2)[:, None] + np.arange(-3, 6)).reshape(-1)
+    channels = image.reshape(-1)[3 * middle[:, None] + around]
+    brightest = np.asarray(image.reshape(-1, 3)[middle].max(axis=1), dtype=np.float64)
+    return inside, channels @ MEAN_OF_NINE, brightest
