@@ -120,8 +120,20 @@ def test_overexposure_is_how_far_markers_are_beyond_the_range(
     exposure: float, factor: float
 ) -> None:
     # The brightest channel is 200 on one half of the markers, 150 on the other.
-    bright = np.clip(exposure * dots(), 0, 255).astype(np.uint8)
-    assert change(bright).beyond_range == pytest.approx(factor * 175.0 / 255.0, rel=0.02)
+    def lit(image: ImageArray) -> ImageArray:
+        return np.clip(exposure * image, 0, 255).astype(np.uint8)
+
+    wanted = factor * 175.0 / 255.0
+    assert change(lit(dots())).beyond_range == pytest.approx(wanted, rel=0.02)
+    # Of paints with two bright channels, the dim one alone shows the exposure.
+    cyan = dots()
+    cyan[:, :, :2] = cyan[:, :, :2].max(axis=2, keepdims=True)
+    check = LightCheck.at_rest(cyan, PLACES)
+    assert check is not None
+    np.testing.assert_allclose(check.level[:2], [[150.0, 150.0, 40.0], [200.0, 200.0, 21.0]])
+    found = check.change(lit(cyan), PLACES, NONE)
+    assert found is not None
+    assert found.beyond_range == pytest.approx(wanted, rel=0.03)
 
 
 def test_a_picture_of_less_contrast_is_not_overexposed() -> None:
