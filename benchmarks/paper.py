@@ -122,6 +122,8 @@ def add_rows(
 ) -> None:
     """Errors of every estimator on some prints, and on grips."""
     plain = _by_design(quick=quick)
+    if linear:
+        plain = replace(plain, model=plain.model.linear)
     scattered = []
     for unit in units:
         name = PRINTS[unit] if linear else f"{PRINTS[unit]}, {route}"

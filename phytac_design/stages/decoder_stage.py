@@ -189,7 +189,8 @@ def scene_notes(context: Context) -> dict[str, Any]:
 
 def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[str, Any]:
     """Train the networks of the paper into ``model``; return figures of the fit."""
-    rows = key_node_data(model, data)
+    # The data are of a linear shell.
+    rows = key_node_data(model.linear, data)
     first, second, third = split_samples(data.contacts.samples, seed=context.seed)
     training: dict[str, Any] = {"key_nodes": len(rows.force_N), "samples": data.contacts.samples}
     # Both readings of the paper's "linear unit".

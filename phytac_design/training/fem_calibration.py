@@ -114,6 +114,7 @@ def fit_mechanics(
         fitted,
         compliance_px=fitted.compliance_px / modulus,
         stiffness=fitted.stiffness * modulus,
+        modulus=modulus,
         tip_sd_px=tip_sd_px,
     )
     tries = [stiff, *(replace(stiff, measured=measure(stiff, samples, sd)) for sd in COLUMN_SDS)]
@@ -163,6 +164,11 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
     design = model.compliance_px.reshape(count, 2, count)
     size = np.hypot(design[:, 0], design[:, 1])
     residual = shift - np.einsum("sk,nik->sni", force, design)
+    if model.large_displacements:
+        for sample, each in enumerate(force):
+            own = np.flatnonzero(each)
+            more_px, _ = model.large_displacements.shifts(own, each[own])
+            residual[sample] -= more_px.reshape(count, 2)
     moved = force**2 @ size.T**2
     noise_px = max(model.noise_px, NOISE_LEAST_px)
     largest = force.max(axis=0)

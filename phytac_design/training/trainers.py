@@ -77,7 +77,8 @@ def train_cascade(
     base: Base = "stiffness"
     rows = [part.rows for part in (task.training, task.validation, task.test)]
     if task.points:
-        rows, base = [_key_node_rows(model, samples) for samples in task.points], "key_nodes"
+        theory = _of_theory(model, task.points[0])
+        rows, base = [_key_node_rows(theory, samples) for samples in task.points], "key_nodes"
     fit = train_network(
         rows[0], rows[1], activation=activation, seed=task.seed, start=start, base=base
     )
@@ -102,7 +103,8 @@ def calibrate_fem(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
     # Stored inputs of networks are of the mechanics by design.
     if not task.points or model.footprint_px is None:
         return model, {"left": "as designed: data without points"}
-    fit = fit_mechanics(model, model.footprint_px, task.points[0], task.points[1])
+    theory = _of_theory(model, task.points[0])
+    fit = fit_mechanics(theory, model.footprint_px, task.points[0], task.points[1])
     names = ("modulus", "spread", "tip_sd_px", "columns", "error_N")
     facts = {name: getattr(fit, name) for name in names}
     if fit.modulus in MODULI:
@@ -112,7 +114,17 @@ def calibrate_fem(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
             "scaled wrongly; check material, thickness, and the unit of the forces: "
             "auto has learnt the unit of the data, and says nothing of it when it decodes"
         )
-    return fit.model, facts
+    return replace(fit.model, locator=model.locator), facts
+
+
+def _of_theory(model: ForceModel, samples: Samples) -> ForceModel:
+    """Model without large displacements if no sample has any."""
+    return model.linear if _all_linear(samples) else model
+
+
+def _all_linear(samples: Samples) -> bool:
+    theories = [THEORIES.index(name) for name in ("rest", "linear")]
+    return bool(np.isin(samples.theory, theories).all())
 
 
 def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
@@ -130,8 +142,7 @@ def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
     if model.locator is None or samples is None:
         missing = "tables in the decoder" if model.locator is None else "points in the data"
         return model, {"left": f"as designed: no {missing}"}
-    theories = [THEORIES.index(name) for name in ("rest", "linear")]
-    linear = bool(np.isin(samples.theory, theories).all())
+    linear = _all_linear(samples)
     locator, facts = calibrate_locator(
         model.locator.linear if linear else model.locator,
         samples,

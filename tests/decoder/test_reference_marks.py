@@ -280,7 +280,8 @@ def test_all_tables_turn_alike() -> None:
         for estimator in ("koi_inverse", "fem"):
             before = one.forces(estimator, shift, order[koi])
             after = two.forces(estimator, shift[order], koi)
-            np.testing.assert_allclose(after, before[order], atol=1e-9)
+            # Tables are of single precision.
+            np.testing.assert_allclose(after, before[order], atol=1e-6)
         for name in ("rest_px", "tip_bias_px"):
             np.testing.assert_array_equal(getattr(out, name), getattr(plain, name)[order])
         for name in ("on_px", "red_rest_px", "red_on_px"):

@@ -8,6 +8,7 @@ import numpy as np
 from phytac_decoder.camera.camera_motion import CameraMotion, MarkedMotion
 from phytac_decoder.estimation.cascade_network import Base, CascadeNetwork, network_features
 from phytac_decoder.estimation.contact_estimates import ContactDetection
+from phytac_decoder.estimation.large_displacements import LargeDisplacements
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -68,6 +69,8 @@ class ForceModel:
     tip_sd_px : float
         Standard deviation of a key node's own shift, beside the noise, in the forces that networks
         with the base ``key_nodes`` add to.
+    modulus : float
+        Modulus over that of the design, as K and C have it.
     measured : MeasuredColumns, optional
         Columns that stand in place of those of C; ``auto`` has corrections of its own.
     footprint_px : (2n, n) float, optional
@@ -84,6 +87,7 @@ class ForceModel:
     camera_motion: CameraMotion | None = None
     noise_px: float = 0.06
     tip_sd_px: float = TIP_SD_px
+    modulus: float = 1.0
     measured: MeasuredColumns | None = None
     footprint_px: FloatArray | None = None
 
@@ -259,13 +263,19 @@ class ForceModel:
         return rows, rows @ rows.T
 
     def motion(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
-        """Return the motion (q,) of the cameras since the rest frame, by the linear tables."""
+        """Return the motion (q,) of the cameras since the rest frame, as ``koi_inverse`` has it."""
         if self.camera_motion is None:
             return np.zeros(0)
-        d = shift_px.reshape(-1)
-        pressed = self._inverse(shift_px, koi) @ self.patterns[0][koi]
+        d, force = shift_px.reshape(-1), self._inverse(shift_px, koi)
+        pressed = force @ self.patterns[0][koi] + self.beyond_linear_px(force, koi)
         free = self.camera_motion.masked(np.isfinite(d))
         return free.estimate(np.nan_to_num(d - pressed), self.noise_px)
+
+    def beyond_linear_px(self, force_N: FloatArray, koi: IntArray) -> FloatArray:
+        """Return the shifts (2n,) of forces (m,) N on key nodes that C·f does not have."""
+        if self.large_displacements is None:
+            return np.zeros(len(self.compliance_px))
+        return self.large_displacements.shifts(koi, force_N)[0]
 
     def pressed_mm(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Return the apparent u (n,) mm of shifts (n, 2) px less motion of the cameras."""
@@ -278,24 +288,39 @@ class ForceModel:
             return shift_px
         return np.asarray(shift_px - self.camera_motion.shift_px(motion).reshape(-1, 2))
 
+    @cached_property
+    def large_displacements(self) -> LargeDisplacements | None:
+        """Shifts beyond C·f, by the tables of ``auto``; None without any."""
+        locator = self.locator
+        if locator is None or locator.places.orders < 2:
+            return None
+        stiffness = locator.correction.stiffness if locator.correction else 1.0
+        return LargeDisplacements(
+            places=locator.places,
+            position_mm=locator.position_mm,
+            softness=stiffness / self.modulus,
+        )
+
     def _inverse(
         self, shift_px: FloatArray, koi: IntArray, *, tip_sd_px: float = 0.0
     ) -> FloatArray:
-        """Return the least-squares solution of d = C(:, KOI)·f over all found markers, f >= 0.
+        """Return the least-squares solution f >= 0 of d = C(:, KOI)·f over all found markers.
 
-        Motion of the cameras is left free, within its prior. Key nodes' own shifts may have another
-        standard deviation beside the noise.
+        Large displacements are added to C·f. Motion of the cameras is left free, within its prior.
+        Key nodes' own shifts may have another standard deviation beside the noise.
         """
-        d = shift_px.reshape(-1)
-        rows, products = self.patterns
+        rows, d = self.patterns[0][koi], shift_px.reshape(-1)
         found = np.isfinite(d)
-        if self.camera_motion is None and found.all() and tip_sd_px == 0.0:
-            return nonnegative_least_squares(products[np.ix_(koi, koi)], rows[koi] @ d)
         root = found.astype(np.float64)
         noise_px = max(self.noise_px, NOISE_LEAST_px)
         root.reshape(-1, 2)[koi] *= noise_px / np.hypot(noise_px, tip_sd_px)
-        c = rows[koi] * root
-        free = c
-        if self.camera_motion is not None:
-            free = self.camera_motion.weighted(root).free_of_motion(c, self.noise_px)
-        return nonnegative_least_squares(free @ c.T, free @ (root * np.nan_to_num(d)))
+        motion = self.camera_motion.weighted(root) if self.camera_motion else None
+
+        def solved(rows: FloatArray, d: FloatArray) -> FloatArray:
+            c = rows * root
+            free = motion.free_of_motion(c, self.noise_px) if motion else c
+            return nonnegative_least_squares(free @ c.T, free @ (root * np.nan_to_num(d)))
+
+        if self.large_displacements is None or not len(koi):
+            return solved(rows, d)
+        return self.large_displacements.solve(solved, rows, d, koi)

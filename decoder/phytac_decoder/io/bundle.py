@@ -59,7 +59,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 20), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 21), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -290,6 +290,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         "threshold_N": float(np.median(bundle.threshold_N)),
         "noise_centroid_px": float(bundle.noise_centroid_px),
         "tip_sd_px": float(model.tip_sd_px),
+        "modulus": float(model.modulus),
         "force_max_N": float(bundle.force_max_N),
         "notes": bundle.notes,
     }
@@ -486,6 +487,8 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         },
         # Up to schema 1.15 it was not used.
         tip_sd_px=bounded(meta.get("tip_sd_px", TIP_SD_px), "tip_sd_px"),
+        # Up to schema 1.20 K and C alone had it.
+        modulus=bounded(meta.get("modulus", 1.0), "modulus", least=1e-3),
         # Up to schema 1.16 there were none.
         measured=_measured(arrays),
     )

@@ -207,11 +207,11 @@ def describe_fault(error: Exception) -> str:
     return "a value has the wrong type or size"
 
 
-def bounded(value: Any, name: str) -> float:
-    """Return a number from 0 to 1e6."""
+def bounded(value: Any, name: str, *, least: float = 0.0) -> float:
+    """Return a number from ``least`` to 1e6."""
     number = float(value)
-    if not 0.0 <= number <= 1e6:
-        raise ValueError(f"{name} must lie between 0 and 1e6 (got {number:g})")
+    if not least <= number <= 1e6:
+        raise ValueError(f"{name} must lie between {least:g} and 1e6 (got {number:g})")
     return number
 
 

@@ -41,13 +41,17 @@ class InteractionTable:
 
     def between(self, points_mm: FloatArray) -> NDArray[np.float32]:
         """Return M (k, 2n) px/N² of each two of points (c, 3), in the order of ``tril_indices``."""
+        return np.asarray(self.coordinates(points_mm) @ self.axes_px)
+
+    def coordinates(self, points_mm: FloatArray) -> NDArray[np.float32]:
+        """Return the coordinates (k, r) of :meth:`between`."""
         places, counts = self.grid.shares(points_mm)
         own, weight = places.tolist(), counts.astype(np.float32)
         rows = [
             weight[k] @ (weight[i] @ self._block(own[i], own[k])).reshape(weight.shape[1], -1)
             for i, k in _each_two(len(points_mm))
         ]
-        return np.asarray(np.stack(rows) @ self.axes_px)
+        return np.stack(rows)
 
     def _block(self, one: int, other: int) -> NDArray[np.float32]:
         """Return coordinates (q, q·r) of M over the places around two places."""

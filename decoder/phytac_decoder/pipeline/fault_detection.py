@@ -109,8 +109,10 @@ class FaultDetector:
         self.inverse_N = model.forces("koi_inverse", shift_px, koi)
         self._predicted = (self.inverse_N[koi] @ self._rows[koi]).reshape(-1, 2)
         self._seen = np.asarray(shift_px, dtype=np.float64)
+        # All that follows is linear in the forces.
+        linear = self._seen - model.beyond_linear_px(self.inverse_N[koi], koi).reshape(-1, 2)
         # A marker that was not found has no residual.
-        self._shift = np.where(np.isfinite(shift_px), shift_px, self._predicted)
+        self._shift = np.where(np.isfinite(linear), linear, self._predicted)
         self._right = self._rows @ self._shift.reshape(-1)
         neighbours = model.neighbours
         self._near = np.where(neighbours >= 0, neighbours, np.arange(len(neighbours))[:, None])

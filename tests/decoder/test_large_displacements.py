@@ -1,0 +1,175 @@
+"""Forces on receptors under large displacements, on a sensor in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phytac_decoder.camera.camera_motion import CameraMotion
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.estimation.large_displacements import LargeDisplacements
+from phytac_decoder.pipeline.fault_detection import FaultDetector
+from phytac_design.datasets.samples import truth_rows
+from phytac_design.training.fem_calibration import measure
+from phytac_shapes.arrays import FloatArray, IntArray
+from tests.decoder import flat_samples
+from tests.decoder.flat_sensor import MARKERS, flat_locator, neighbours, per_newton
+from tests.decoder.test_pairs import aware, pressed
+from tests.decoder.toy_sensor import toy_bundle
+
+N = len(MARKERS)
+LINEAR = np.stack([per_newton(at) for at in MARKERS], axis=1)
+PRESSES = [([44], [18.0]), ([23, 66], [6.0, 21.0]), ([33, 45, 57, 76], [3.0, 9.0, 25.0, 0.7])]
+
+
+def model(modulus: float = 1.0) -> ForceModel:
+    return ForceModel(
+        shift_to_mm=np.ones((N, 2)),
+        stiffness=np.eye(N),
+        compliance_px=LINEAR / modulus,
+        height_z_mm=np.zeros(N),
+        neighbours=neighbours(),
+        networks={},
+        locator=aware(flat_locator()),
+        modulus=modulus,
+    )
+
+
+def seen(ids: list[int], force_N: list[float]) -> FloatArray:
+    return pressed([MARKERS[k] for k in ids], force_N)
+
+
+def beyond(ids: list[int], force_N: list[float]) -> FloatArray:
+    return np.asarray(seen(ids, force_N) - LINEAR[:, ids] @ force_N)
+
+
+def large(of: ForceModel | None = None) -> LargeDisplacements:
+    found = (of or model()).large_displacements
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("ids", "force_N"), PRESSES)
+def test_shifts_beyond_linear_ones_are_those_of_the_sensor(
+    ids: list[int], force_N: list[float]
+) -> None:
+    more, _ = large().shifts(np.array(ids), np.array(force_N))
+    wanted = beyond(ids, force_N)
+    assert np.linalg.norm(more - wanted) < 0.02 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize(("ids", "force_N"), PRESSES)
+def test_slopes_are_those_of_the_shifts(ids: list[int], force_N: list[float]) -> None:
+    own, force = large(model(1.2)), np.array(force_N)
+    _, slope = own.shifts(np.array(ids), force)
+    for k, step in enumerate(0.01 * np.eye(len(ids))):
+        up, down = (own.shifts(np.array(ids), force + sign * step)[0] for sign in (1, -1))
+        np.testing.assert_allclose(slope[k], (up - down) / 0.02, atol=2e-4)
+
+
+@pytest.mark.parametrize("modulus", [1.0, 1.3])
+@pytest.mark.parametrize(("ids", "force_N"), PRESSES)
+def test_forces_are_found_again(ids: list[int], force_N: list[float], modulus: float) -> None:
+    # A stiffer wall is where the other is under less force.
+    shift, koi = seen(ids, [f / modulus for f in force_N]).reshape(-1, 2), np.array(ids)
+    forces = model(modulus).forces("koi_inverse", shift, koi)
+    np.testing.assert_allclose(forces[koi], force_N, rtol=0.004, atol=0.02)
+    # The largest force was 14 to 30 % off without.
+    without = model(modulus).linear.forces("koi_inverse", shift, koi)
+    off = np.abs(without[koi] / force_N - 1.0)
+    assert 0.1 < off[np.argmax(force_N)] < 0.4
+
+
+def test_tables_that_were_scaled_to_a_print_are_those_of_the_design() -> None:
+    locator, stiffness = aware(flat_locator()), 1.25
+    scaled = replace(locator, places=locator.places.scaled(stiffness))
+    own = LargeDisplacements(places=scaled.places, position_mm=MARKERS, softness=stiffness)
+    ids, force = np.array([33, 45, 57]), np.array([3.0, 9.0, 25.0])
+    for found, wanted in zip(own.shifts(ids, force), large().shifts(ids, force), strict=True):
+        np.testing.assert_allclose(found, wanted, atol=1e-4 * np.abs(wanted).max())
+
+
+def test_forces_beyond_the_tables_are_finite_and_grow() -> None:
+    places = replace(aware(flat_locator()).places, top_N=10.0)
+    own = LargeDisplacements(places=places, position_mm=MARKERS)
+
+    def least_squares(rows: FloatArray, shift: FloatArray) -> FloatArray:
+        return np.maximum(np.linalg.lstsq(rows.T, shift, rcond=None)[0], 0.0)
+
+    def found(ids: IntArray, shift: FloatArray) -> FloatArray:
+        return own.solve(least_squares, np.ascontiguousarray(LINEAR[:, ids].T), shift, ids)
+
+    ids = np.array([44, 45])
+    forces = [found(ids, scale * LINEAR[:, ids].sum(axis=1)) for scale in (5, 10, 20, 50, 500)]
+    assert np.isfinite(forces).all()
+    assert (np.diff(forces, axis=0) > 0.0).all()
+
+
+def test_receptors_without_a_force_change_nothing() -> None:
+    ids, force_N = PRESSES[1]
+    shift = seen(ids, force_N).reshape(-1, 2)
+    more = np.array([*ids, 2, 90])
+    forces = model().forces("koi_inverse", shift, more)
+    np.testing.assert_allclose(forces[ids], force_N, rtol=0.004)
+    assert forces[[2, 90]].max() < 0.05
+    assert not model().forces("koi_inverse", shift, more[:0]).any()
+
+
+def test_columns_are_measured_beside_large_displacements() -> None:
+    """A receptor whose column is otherwise than by design, under presses of its own and pairs."""
+    off, rng, count = 44, np.random.default_rng(0), 60
+    owner, bits = np.full((count, N), -1), np.zeros((count, N), dtype=np.bool_)
+    force, shift, rows = np.zeros((count, N)), np.zeros((count, N, 2)), 0
+    change = 0.2 * LINEAR[:, off].reshape(N, 2) * rng.normal(1.0, 0.2, (N, 1))
+    for k in range(count):
+        ids = [off] if k % 3 else [off, int(rng.choice([22, 47, 66]))]
+        bits[k, ids] = True
+        owner[k, ids] = rows + np.arange(len(ids))
+        rows += len(ids)
+        force[k, ids] = rng.uniform(1.0, 25.0, len(ids))
+        shift[k] = seen(ids, force[k, ids].tolist()).reshape(N, 2) + change * force[k, off]
+    samples = replace(
+        flat_samples.pressed(count, seed=0),
+        shift_px=shift + rng.normal(0.0, 0.02, shift.shape),
+        truth=truth_rows(bits, owner, force),
+    )
+    wanted = LINEAR[:, off] + change.reshape(-1)
+    errors = []
+    for of in (model(), model().linear):
+        found = measure(of, samples, 0.3)
+        assert found is not None
+        column = found.shift_px[:, found.marker.tolist().index(off)]
+        errors.append(np.linalg.norm(column - wanted) / np.linalg.norm(wanted))
+    assert errors[0] < 0.02
+    assert errors[1] > 0.1
+
+
+def test_they_are_not_taken_for_motion_of_the_camera() -> None:
+    # The second looks like presses in the middle.
+    ways = np.stack([np.tile([1.0, 0.0], N), LINEAR[:, 40:50].sum(axis=1)])
+    motion = CameraMotion(
+        first=ways,
+        second=np.zeros((0, 2 * N), dtype=np.float32),
+        pair=np.zeros((2, 0), dtype=np.int64),
+        sd=np.array([1.0, 1.0]),
+    )
+    koi, moved = np.arange(4, N, 12), np.array([0.3, 0.1])
+    force_N = np.full(len(koi), 12.0)
+    shift = (seen(koi.tolist(), force_N.tolist()) + moved @ ways).reshape(-1, 2)
+    moving = model().with_camera_motion(motion, 0.02)
+    np.testing.assert_allclose(moving.motion(shift, koi), moved, atol=0.005)
+    np.testing.assert_allclose(moving.forces("koi_inverse", shift, koi)[koi], force_N, rtol=0.01)
+    wanted = beyond(koi.tolist(), force_N.tolist())
+    found = moving.beyond_linear_px(force_N, koi)
+    assert np.linalg.norm(found - wanted) < 0.02 * np.linalg.norm(wanted)
+    assert not moving.linear.beyond_linear_px(force_N, koi).any()
+
+
+def test_strong_presses_have_no_outliers() -> None:
+    """A frame of a nonlinear wall is no fault."""
+    toy = toy_bundle()
+    strong = replace(toy, model=model(), threshold_N=np.full(N, 0.5), noise_centroid_px=0.01)
+    ids, force_N = PRESSES[2]
+    koi, shift = np.array(ids), seen(ids, force_N).reshape(-1, 2)
+    found = FaultDetector(strong, shift, koi)
+    np.testing.assert_allclose(found.forces_on(koi), force_N, rtol=0.02, atol=0.05)
