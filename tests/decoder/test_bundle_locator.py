@@ -137,6 +137,20 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
     )
 
 
+def test_a_fitted_modulus_is_kept(tmp_path: Path) -> None:
+    plain = bundle()
+    save_bundle(replace(plain, model=replace(plain.model, modulus=1.3)), tmp_path)
+    assert load_bundle(tmp_path).model.modulus == 1.3
+    path = tmp_path / "bundle.json"
+    meta = json.loads(path.read_text())
+    path.write_text(json.dumps(meta | {"modulus": 0.0}))
+    with refused("bundle-invalid"):
+        load_bundle(tmp_path)
+    del meta["modulus"]
+    path.write_text(json.dumps(meta))
+    assert load_bundle(tmp_path).model.modulus == 1.0
+
+
 def test_linear_tables_are_a_limit(tmp_path: Path) -> None:
     saved = bundle()
     locator = saved.model.locator

@@ -1,16 +1,21 @@
 """Forces on receptors under large displacements, on a sensor in closed form."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera_motion import CameraMotion
 from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.large_displacements import LargeDisplacements
 from phytac_decoder.pipeline.fault_detection import FaultDetector
-from phytac_design.datasets.samples import truth_rows
+from phytac_design.datasets.samples import THEORIES, Samples, key_nodes, truth_rows
+from phytac_design.stages import decoder_stage
 from phytac_design.training.fem_calibration import measure
+from phytac_design.training.trainers import TRAINERS, TrainingTask
+from phytac_design.training.training_data import SplitPart, data_of
 from phytac_shapes.arrays import FloatArray, IntArray
 from tests.decoder import flat_samples
 from tests.decoder.flat_sensor import MARKERS, flat_locator, neighbours, per_newton
@@ -89,6 +94,23 @@ def test_tables_that_were_scaled_to_a_print_are_those_of_the_design() -> None:
         np.testing.assert_allclose(found, wanted, atol=1e-4 * np.abs(wanted).max())
 
 
+def test_a_model_takes_what_its_tables_were_scaled_by() -> None:
+    plain = model(1.1)
+    correction = ForceCorrection(
+        stiffness=1.25,
+        centre=np.zeros((0, 3)),
+        weight=np.zeros(0),
+        low_mm=np.zeros(3),
+        size_mm=np.ones(3),
+        force_max_N=25.0,
+        spread=np.zeros(0),
+    )
+    assert plain.locator is not None
+    fitted = replace(plain.locator, correction=correction)
+    assert large(replace(plain, locator=fitted)).softness == pytest.approx(1.25 / 1.1)
+    assert large(plain).softness == pytest.approx(1.0 / 1.1)
+
+
 def test_forces_beyond_the_tables_are_finite_and_grow() -> None:
     places = replace(aware(flat_locator()).places, top_N=10.0)
     own = LargeDisplacements(places=places, position_mm=MARKERS)
@@ -103,6 +125,9 @@ def test_forces_beyond_the_tables_are_finite_and_grow() -> None:
     forces = [found(ids, scale * LINEAR[:, ids].sum(axis=1)) for scale in (5, 10, 20, 50, 500)]
     assert np.isfinite(forces).all()
     assert (np.diff(forces, axis=0) > 0.0).all()
+    # Beyond twice the largest tabulated force all is linear.
+    one, two, three = (found(ids, k * LINEAR[:, ids].sum(axis=1)) for k in (100, 200, 300))
+    np.testing.assert_allclose(three - two, two - one, rtol=1e-4)
 
 
 def test_receptors_without_a_force_change_nothing() -> None:
@@ -115,23 +140,82 @@ def test_receptors_without_a_force_change_nothing() -> None:
     assert not model().forces("koi_inverse", shift, more[:0]).any()
 
 
+def drawn(count: int, seed: int, *, softer: float, linear: bool) -> Samples:
+    """Samples of one to three presses on receptors."""
+    rng = np.random.default_rng(seed)
+    bits, force = np.zeros((count, N), dtype=np.bool_), np.zeros((count, N))
+    shift = np.zeros((count, N, 2))
+    for k in range(count):
+        ids = rng.choice([22, 27, 44, 47, 71, 76], 1 + k % 3, replace=False).tolist()
+        bits[k, ids] = True
+        force[k, ids] = rng.uniform(1.0, 25.0, len(ids))
+        own = softer * force[k, ids]
+        moved = LINEAR[:, ids] @ own if linear else seen(ids, own.tolist())
+        shift[k] = moved.reshape(N, 2)
+    return replace(
+        flat_samples.pressed(count, seed=0),
+        bits=bits,
+        bits_read=bits,
+        shift_px=shift + rng.normal(0.0, 0.01, shift.shape),
+        theory=np.full(count, THEORIES.index("linear" if linear else "large")),
+        truth=truth_rows(bits, np.full(bits.shape, -1), force),
+    )
+
+
+@pytest.mark.parametrize("linear", [True, False])
+def test_trainers_use_the_theory_of_the_data(linear: bool) -> None:
+    plain = replace(model(), footprint_px=LINEAR)
+    parts = []
+    for seed, count in enumerate((60, 12, 12)):
+        samples = drawn(count, seed, softer=0.8, linear=linear)
+        rows = data_of(key_nodes(plain, samples, noise_px=0.01))
+        parts.append(SplitPart(count=count, rows=rows, samples=samples))
+    training, validation, test = parts
+    task = TrainingTask(
+        bundle=replace(toy_bundle(), model=plain),
+        training=training,
+        validation=validation,
+        test=test,
+        seed=0,
+    )
+    trainers = dict(TRAINERS)
+    fitted, facts = trainers["mechanics"](task)
+    assert facts["modulus"] == fitted.modulus == pytest.approx(1.25, rel=0.01)
+    assert facts["error_N"] < 0.15
+    assert fitted.locator is plain.locator
+    with_network = replace(task, bundle=replace(task.bundle, model=fitted))
+    assert trainers["fem_nn"](with_network)[1]["rmse_test_N"] < 0.2
+
+
+def test_networks_of_a_build_learn_a_linear_shell(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[ForceModel] = []
+
+    def key_node_data(of: ForceModel, _: Any) -> None:
+        given.append(of)
+        raise InterruptedError
+
+    monkeypatch.setattr(decoder_stage, "key_node_data", key_node_data)
+    nothing: Any = None
+    with pytest.raises(InterruptedError):
+        decoder_stage.train_networks(nothing, model(), nothing)
+    assert given[0].large_displacements is None
+
+
 def test_columns_are_measured_beside_large_displacements() -> None:
     """A receptor whose column is otherwise than by design, under presses of its own and pairs."""
     off, rng, count = 44, np.random.default_rng(0), 60
-    owner, bits = np.full((count, N), -1), np.zeros((count, N), dtype=np.bool_)
-    force, shift, rows = np.zeros((count, N)), np.zeros((count, N, 2)), 0
+    bits, force = np.zeros((count, N), dtype=np.bool_), np.zeros((count, N))
+    shift = np.zeros((count, N, 2))
     change = 0.2 * LINEAR[:, off].reshape(N, 2) * rng.normal(1.0, 0.2, (N, 1))
     for k in range(count):
         ids = [off] if k % 3 else [off, int(rng.choice([22, 47, 66]))]
         bits[k, ids] = True
-        owner[k, ids] = rows + np.arange(len(ids))
-        rows += len(ids)
         force[k, ids] = rng.uniform(1.0, 25.0, len(ids))
         shift[k] = seen(ids, force[k, ids].tolist()).reshape(N, 2) + change * force[k, off]
     samples = replace(
         flat_samples.pressed(count, seed=0),
         shift_px=shift + rng.normal(0.0, 0.02, shift.shape),
-        truth=truth_rows(bits, owner, force),
+        truth=truth_rows(bits, np.full(bits.shape, -1), force),
     )
     wanted = LINEAR[:, off] + change.reshape(-1)
     errors = []
