@@ -52,7 +52,7 @@ def test_walls_of_all_families_are_valid_and_exact(name: str, sizes: dict[str, f
 
 @families
 def test_shells_of_all_families_go_through_step(name: str, tmp_path: Path) -> None:
-    case = built(family_design(name, rows=3, columns=4))
+    case = built(family_design(name, rows=2, columns=3))
     solid = shell_cad(Sensor.of(*case))
     facts = cad_facts(solid)
     assert (facts.valid, facts.solids) == (True, 1)

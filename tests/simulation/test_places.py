@@ -42,26 +42,48 @@ from phytac_design.stages.places_stage import mesh_pair
 from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.designs import FINE_CAMERA, drawn, of_shape, small
 
+
+class Bench:
+    """A small sensor, and what its one camera sees."""
+
+    def __init__(self, design: Design) -> None:
+        self.design, self.surface = design, design.surface()
+        self.markers = make_markers(design, self.surface)
+        self.sensor = Sensor.of(design, self.surface, self.markers)
+        readers = Readers(
+            cameras=cameras_of(design, self.surface),
+            read_by=np.zeros(self.markers.count, dtype=np.int64),
+        )
+        mid = self.markers.mid_mm
+        self.see = ImageResponse(readers, mid, self.markers.tip_mm - mid)
+
+    def shell(self, refine: int) -> tuple[ShellMesh, ShellModel]:
+        mesh = marker_mesh(
+            self.surface,
+            self.markers,
+            thickness_mm=self.design.wall.thickness_mm,
+            refine=refine,
+        )
+        return mesh, sensor_model(self.design, self.markers, mesh, receptors=True)
+
+    def discs(self, mesh: ShellMesh, model: ShellModel, orders: int = 1) -> DiscResponse:
+        return DiscResponse(
+            self.design, self.surface, self.markers, mesh=mesh, model=model, orders=orders
+        )
+
+    def tables(self, shell: tuple[ShellMesh, ShellModel], **how: Any) -> TabulatedResponse:
+        mesh, model = shell
+        return tabulate_responses(self.sensor, mesh=mesh, model=model, see=self.see, **how)
+
+
 DESIGN = small(camera=FINE_CAMERA)
-SURFACE = DESIGN.surface()
-MARKERS = make_markers(DESIGN, SURFACE)
-READERS = Readers(
-    cameras=cameras_of(DESIGN, SURFACE), read_by=np.zeros(MARKERS.count, dtype=np.int64)
-)
-ARM = MARKERS.tip_mm - MARKERS.mid_mm
-SEE = ImageResponse(READERS, MARKERS.mid_mm, ARM)
+BENCH = Bench(DESIGN)
+SURFACE, MARKERS, SEE = BENCH.surface, BENCH.markers, BENCH.see
 
 
 def made(refine: int, **how: Any) -> TabulatedResponse:
     """Tables by a mesh of its own."""
-    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=refine)
-    return tabulate_responses(
-        Sensor.of(DESIGN, SURFACE, MARKERS),
-        mesh=mesh,
-        model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
-        see=SEE,
-        **how,
-    )
+    return BENCH.tables(BENCH.shell(refine), **how)
 
 
 @cache
@@ -77,7 +99,7 @@ def truth(place: int, places: ResponseTable, force_N: float) -> FloatArray:
 @cache
 def solver() -> Solver:
     unit = draw_sensor_instance(Sensor.of(DESIGN, SURFACE, MARKERS), SensorInstanceSection(), 0)
-    return Solver(DESIGN, SURFACE, unit, refine=9, displacement="large")
+    return Solver(DESIGN, SURFACE, unit, refine=8, displacement="large")
 
 
 def true_shifts(
@@ -95,9 +117,9 @@ def true_shifts(
     touch = replace(touch, friction=np.tile(friction, (count, 1)))
     motion = solver().solve(touch, np.full(count, force_N)).motion
     assert motion is not None
-    watched = MARKERS.mid_mm + ARM
-    moved = READERS.project(watched + turned_points(motion, ARM))
-    return np.asarray(moved - READERS.project(watched)).ravel()
+    tips, project = MARKERS.tip_mm, SEE.readers.project
+    moved = project(tips + turned_points(motion, tips - MARKERS.mid_mm))
+    return np.asarray(moved - project(tips)).ravel()
 
 
 def test_force_along_the_surface_moves_markers_as_the_solved_wall_does() -> None:
@@ -161,30 +183,17 @@ def test_a_square_box_is_solved_on_one_side_in_four() -> None:
         {"width_mm": 40.0, "depth_mm": 40.0, "length_mm": 40.0, "edge_radius_mm": 8.0},
         {"rows": 4, "columns": 12},
     )
-    surface = design.surface()
-    markers = make_markers(design, surface)
-    readers = Readers(
-        cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
-    )
-    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=3)
-    model = sensor_model(design, markers, mesh, receptors=True)
-    see = ImageResponse(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
-    done = tabulate_responses(
-        Sensor.of(design, surface, markers),
-        mesh=mesh,
-        model=model,
-        see=see,
-        spacing_mm=7.0,
-        orders=4,
-    )
+    bench = Bench(design)
+    shell = bench.shell(3)
+    done = bench.tables(shell, spacing_mm=7.0, orders=4)
     assert done.solves * 4 <= len(done.places.point_mm) + 4
     assert done.bent < done.solves
-    ring = rings(surface, done.spacing_mm, 4)
-    shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
+    ring = rings(bench.surface, done.spacing_mm, 4)
+    discs = bench.discs(*shell)
     for turns in (1, 3):
         place = int(np.flatnonzero(ring.turns == turns)[7])
-        ((own,),) = shell.motions(ring.uv[[place]], done.places.radius_mm)
-        (wanted,) = see.powers([own], shell.forces)
+        ((own,),) = discs.motions(ring.uv[[place]], done.places.radius_mm)
+        (wanted,) = bench.see.powers([own], discs.forces)
         assert off(done.places.shift_px[place, 0], wanted) < 1e-3
 
 
@@ -192,16 +201,14 @@ def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
     """They stand farther apart than the places, and are interpolated."""
     done = tabulated()
     assert 2 * done.bent < done.solves
-    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=4)
-    model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
-    shell = DiscResponse(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=3)
+    shell = BENCH.discs(*BENCH.shell(4), orders=3)
     columns = MARKERS.lattice.columns if MARKERS.lattice else 1
     ring = rings(SURFACE, 3.0, columns)
     force = DESIGN.training.force_max_N
     gaps = []
     for place in np.arange(0, len(ring.uv), len(ring.uv) // 12).tolist():
         (motions,) = shell.motions(ring.uv[[place]], done.places.radius_mm)
-        rows = ImageResponse(READERS, MARKERS.mid_mm, ARM).powers(motions, shell.forces)
+        rows = SEE.powers(motions, shell.forces)
         gaps.append(off(predicted(done.places, place, force), force ** np.arange(1.0, 4.0) @ rows))
     assert max(gaps) < 0.05
     assert float(np.median(gaps)) < 0.01
@@ -229,9 +236,7 @@ def test_coordinates_of_pairs_are_those_of_their_own_images(
 ) -> None:
     """Along axes by the third derivative, and each solved for itself: two ways to one image."""
     monkeypatch.setattr(interaction_tables, "SETTINGS", InteractionSettings(axes_max=12))
-    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
-    model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
-    shell = DiscResponse(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=1)
+    shell = BENCH.discs(*BENCH.shell(3))
     uv, radius = rings(SURFACE, 9.0, 1).uv, 4.0
     mixed = InteractionSolver(shell, SEE, uv, radius)
     made = mixed.pairs()
@@ -250,7 +255,7 @@ def test_coordinates_of_pairs_are_those_of_their_own_images(
 def test_shells_of_too_many_elements_have_no_tables_of_pairs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=2)
+    mesh, _ = BENCH.shell(2)
     has_pairs = []
     for most in (len(mesh.quads), len(mesh.quads) - 1):
         settings = InteractionSettings(elements_max=most, axes_max=2)
@@ -271,21 +276,22 @@ def test_images_bend_as_the_lens_and_the_arms_do() -> None:
     assert np.abs(predicted).max() > 0.01
 
 
-def shell_of(refine: int) -> tuple[ShellMesh, ShellModel]:
-    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=refine)
-    return mesh, sensor_model(DESIGN, MARKERS, mesh, receptors=True)
-
-
 def test_the_first_power_is_extrapolated_from_two_meshes() -> None:
     """Against a mesh of twelve elements a pitch, everywhere and beside rims."""
-    pair = shell_of(6), shell_of(4)
-    plain, done = (made(4, spacing_mm=12.0, orders=1, pair=each) for each in (None, pair))
+    short = small(shape={"length_mm": 22.5}, layout={"rows": 3, "height_far_mm": 4.0})
+    bench = Bench(short)
+    coarse = bench.shell(4)
+    plain, done = (
+        bench.tables(coarse, spacing_mm=12.0, orders=1, pair=each)
+        for each in (None, (bench.shell(6), coarse))
+    )
     assert done.solves == plain.solves < len(plain.places.point_mm)
-    uv = SURFACE.chart(plain.places.point_mm)
-    some = np.arange(0, len(uv), 15)
-    mesh, model = shell_of(12)
-    fine = DiscResponse(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=1)
-    rows = [SEE.powers(one, NONE)[0] for one in fine.motions(uv[some], plain.places.radius_mm)]
+    uv = bench.surface.chart(plain.places.point_mm)
+    some = np.arange(0, len(uv), 11)
+    fine = bench.discs(*bench.shell(12))
+    rows = [
+        bench.see.powers(one, NONE)[0] for one in fine.motions(uv[some], plain.places.radius_mm)
+    ]
     before, after = (
         np.array([off(each.places.shift_px[k, 0], row) for k, row in zip(some, rows, strict=True)])
         for each in (plain, done)
@@ -350,32 +356,20 @@ def test_places_stand_closer_on_flat_walls() -> None:
     assert place_spacing_mm(SURFACE, 0.8, 5.0) == 4.0
     design = of_shape(
         "plane",
-        {"width_mm": 48.0, "height_mm": 36.0},
-        {"kind": "straight", "rows": 5, "columns": 7},
+        {"width_mm": 36.0, "height_mm": 29.0},
+        {"kind": "straight", "rows": 4, "columns": 5},
     )
-    surface = design.surface()
+    bench = Bench(design)
+    surface = bench.surface
     assert place_spacing_mm(surface, 0.8, 5.0) == 2.0
-    markers = make_markers(design, surface)
-    readers = Readers(
-        cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
-    )
-    see = ImageResponse(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
-    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=4)
-    model = sensor_model(design, markers, mesh, receptors=True)
+    shell = bench.shell(3)
+    discs = bench.discs(*shell)
     at = surface.point(np.random.default_rng(1).uniform(*surface.domain.T, (20, 2)))
-    shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
     error = {}
     for spacing in (4.0, 2.0):
-        places = tabulate_responses(
-            Sensor.of(design, surface, markers),
-            mesh=mesh,
-            model=model,
-            see=see,
-            spacing_mm=spacing,
-            orders=1,
-        ).places
-        motions = shell.motions(surface.chart(at), places.radius_mm)
-        wanted = np.stack([see.powers(own, shell.forces)[0] for own in motions])
+        places = bench.tables(shell, spacing_mm=spacing, orders=1).places
+        motions = discs.motions(surface.chart(at), places.radius_mm)
+        wanted = np.stack([bench.see.powers(own, discs.forces)[0] for own in motions])
         found = interpolate_responses(places, at)[:, 0]
         error[spacing] = np.median([off(a, b) for a, b in zip(found, wanted, strict=True)])
     assert error[4.0] > 0.02

@@ -108,7 +108,10 @@ class Holes:
 
     def carried(self, places_mm: FloatArray, width_mm: FloatArray) -> FloatArray:
         """Share (p, q) of cells at places (p, q, 3), ``width_mm`` (p,) wide, that is wall."""
-        distance = self.at.query(places_mm.reshape(-1, 3))[0].reshape(places_mm.shape[:2])
+        # Cells farther from any hole are all wall: a distance of inf says the same, and sooner.
+        reach = self.radius_mm + float(width_mm.max(initial=0.0))
+        distance, _ = self.at.query(places_mm.reshape(-1, 3), distance_upper_bound=reach)
+        distance = distance.reshape(places_mm.shape[:2])
         share = (distance - self.radius_mm) / width_mm[:, None] + 0.5
         return np.asarray(np.clip(share, 0.0, 1.0))
 
