@@ -5,6 +5,8 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -84,6 +86,14 @@ def runs(command: Command) -> bool:
     ) and not (words[1] in {"sweep", "optimise"} and "--measures" not in words and len(words) > 2)
 
 
+@contextmanager
+def coarse_checks() -> Iterator[None]:
+    """Switches on the coarse mesh; no other test takes them for the exact ones."""
+    with pytest.MonkeyPatch.context() as patch, coarse_bowls():
+        patch.setenv("PHYTAC_CACHE", os.environ["PHYTAC_CACHE"] + "-coarse-checks")
+        yield
+
+
 @pytest.mark.parametrize("command", ALL, ids=str)
 def test_every_command_is_one(command: Command) -> None:
     assert fault(command.words) == ""
@@ -117,7 +127,8 @@ def test_quick_commands_run_as_they_stand(words: tuple[str, ...], shop: Path) ->
         if words[1] == "new" and words[2] == "mine":
             words = (*words, "--out", "other.toml")
             (shop / "other.toml").unlink(missing_ok=True)
-        done = CliRunner().invoke(app, list(words[1:]), catch_exceptions=False)
+        with coarse_checks() if words[1] == "check" else nullcontext():
+            done = CliRunner().invoke(app, list(words[1:]), catch_exceptions=False)
     finally:
         os.chdir(home)
     assert done.exit_code == 0, done.output

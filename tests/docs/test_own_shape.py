@@ -1,5 +1,6 @@
 """The guide to a shape of one's own, followed to the letter: its file, its design, its commands."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -29,8 +30,22 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def phytac(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    code = "from phytac_design.cli.app import main; main()"
+COMMANDS = """
+import json, os, sys
+from typer.testing import CliRunner
+from phytac_design.cli.app import app
+from tests.coarse_switches import coarse_bowls
+
+os.environ["PHYTAC_CACHE"] = "cache"  # no other test takes these switches for the exact ones
+with coarse_bowls():
+    for words in json.loads(sys.argv[1]):
+        done = CliRunner().invoke(app, words)
+        print(json.dumps([done.exit_code, done.output + repr(done.exception)]))
+"""
+"""A program that runs commands one after the other, with switches on the coarse mesh."""
+
+
+def python(folder: Path, code: str, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", code, *words],
         cwd=folder,
@@ -87,14 +102,16 @@ def test_the_commands_know_it(checkout: Path) -> None:
     """All of the guide's quick commands, and the stages that see the shape, at draft."""
     own = [c.words[1:] for c in commands([GUIDE]) if "keg.toml" in c.words or "barrel" in c.words]
     assert [words[0] for words in own] == ["shapes", "check", "press", "build"]
-    page = phytac(checkout, *own[0])
-    assert "one arc joins them" in page.stdout, page.stderr
-    assert "diameter_middle_mm = …  # required" in page.stdout
-    seen = phytac(checkout, *own[1])
-    assert "keg: 96 markers" in seen.stdout, seen.stderr
-    assert "every marker is visible and can be distinguished" in seen.stdout
-    built = phytac(checkout, *own[3], "--only", "shell,mesh")
-    assert built.returncode == 0, built.stderr
+    own[3] = (*own[3], "--only", "shell,mesh")
+    ran = python(checkout, COMMANDS, json.dumps([own[0], own[1], own[3]]))
+    assert ran.returncode == 0, ran.stderr
+    done = [json.loads(line) for line in ran.stdout.splitlines()]
+    assert [code for code, _ in done] == [0, 0, 0], done
+    page, seen, _ = (text for _, text in done)
+    assert "one arc joins them" in page
+    assert "diameter_middle_mm = …  # required" in page
+    assert "keg: 96 markers" in seen
+    assert "every marker is visible and can be distinguished" in seen
     made = checkout / "exports" / "keg"
     assert (made / "shell" / "shell.stl").stat().st_size > 100_000
     assert "*NODE" in (made / "mesh" / "shell.inp").read_text().upper()
@@ -111,6 +128,6 @@ def test_two_shapes_of_one_name_are_refused(checkout: Path, tmp_path: Path) -> N
     (tmp_path / "shapes" / "phytac_shapes" / "barrel.py").write_text(
         text.replace('"barrel"', '"cone"')
     )
-    done = phytac(tmp_path, "shapes")
+    done = python(tmp_path, "from phytac_design.cli.app import main; main()", "shapes")
     assert done.returncode != 0
     assert "registers the shape 'cone', which there is already (phytac_shapes.cone)" in done.stderr
