@@ -30,11 +30,13 @@ from tests.optics.cases import Bench
 
 
 def lens_of(few: Bench, kind: str) -> Camera:
-    """The camera, with its own lens or with one that bends lines."""
+    """A quarter of the camera's image, by its own lens or by one that bends lines."""
+    whole = few.camera.lens
+    quarter = replace(whole, width_px=whole.width_px // 2, height_px=whole.height_px // 2)
     names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
-    sizes = {name: getattr(few.camera.lens, name) for name in names}
+    sizes = {name: getattr(quarter, name) for name in names}
     bent = KannalaBrandt(**sizes, distortion=(0.02, 0.0, 0.0, 0.0))
-    return few.camera if kind == "pinhole" else replace(few.camera, lens=bent)
+    return replace(few.camera, lens=quarter if kind == "pinhole" else bent)
 
 
 def everywhere(scene: RenderScene, camera: Camera, samples: int) -> FloatArray:
