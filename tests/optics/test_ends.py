@@ -25,6 +25,7 @@ from phytac_design.rules.design_review import checkup
 from phytac_design.stages.build import build
 from phytac_design.stages.resolution_stage import RESOLUTION
 from phytac_design.stages.views_stage import VIEWS
+from tests.designs import COARSE
 from tests.optics.cases import Bench, make_design
 from tests.refusals import refused
 
@@ -161,7 +162,7 @@ TRAINING = {"samples": 40, "samples_test": 20}
 def test_a_build_with_a_far_camera_decodes_its_own_frames(tmp_path: Path) -> None:
     design = at("far", TOWARDS_NEAR, training=TRAINING)
     only = ["underload", "frames"]
-    build(design, tmp_path / "x", accuracy="draft", only=only, progress=lambda _: None)
+    build(design, tmp_path / "x", accuracy=COARSE, only=only, progress=lambda _: None)
     bundle = load_bundle(tmp_path / "x" / "decoder")
     np.testing.assert_allclose(bundle.camera.rotation, np.diag([-1.0, 1.0, -1.0]))
     views = tmp_path / "x" / "views"
