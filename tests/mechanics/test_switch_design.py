@@ -77,7 +77,7 @@ def test_snap_ends_where_the_force_is_back() -> None:
 
 def test_curve_between_points_is_the_curve(made: SwitchDesign) -> None:
     stroke, force, _ = made.curve.dense()
-    fine = press_bowl(made.bowl, TPU.material, refine=2, steps=30, end_mm=0.7)
+    fine = press_bowl(made.bowl, TPU.material, refine=2, steps=16, end_mm=0.7)
     assert np.interp(fine.stroke_mm, stroke, force) == pytest.approx(fine.force_N, abs=2e-4)
 
 
