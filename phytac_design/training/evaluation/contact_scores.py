@@ -129,10 +129,9 @@ class Bootstrap:
         for name, row in MEDIANS.items():
             drawn[name] = np.concatenate(list(self._medians(values[row], member, some)))
         share = 50.0 * (1.0 - LEVEL)
-        return {
-            name: (float(np.percentile(v, share)), float(np.percentile(v, 100.0 - share)))
-            for name, v in drawn.items()
-        }
+        every = np.stack(list(drawn.values()))
+        tails = np.percentile(every, [share, 100.0 - share], axis=1)
+        return dict(zip(drawn, map(tuple, tails.T.tolist()), strict=True))
 
     def _medians(
         self, values: FloatArray, member: IntArray, some: BoolArray
