@@ -63,9 +63,9 @@ def as_data(made: dict[str, np.ndarray]) -> MarkerData:
 
 
 def test_the_figure_is_the_error_on_other_presses() -> None:
-    data = as_data(half_space(np.random.default_rng(1), 100))
+    data = as_data(half_space(np.random.default_rng(1), 180, frames=3))
     found = judge(data)
-    other = as_data(half_space(np.random.default_rng(2), 200))
+    other = as_data(half_space(np.random.default_rng(2), 200, frames=3))
     for name in ("ridge", "kernel"):
         predict, half_width = fit(name, data)
         error = np.abs(predict(other.displacement) - other.wrench)

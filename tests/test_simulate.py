@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -24,16 +24,17 @@ from phytac_design.core.journal import Journal
 from phytac_design.datasets.samples import STATUSES, Samples
 from phytac_design.datasets.samples_file import FILE, TABLE, read_samples
 from phytac_design.design.design_file import design_hash, load_design, to_toml
-from phytac_design.layout.sensor import Sensor
-from phytac_design.simulation.imaging.nominal_view import expected_views
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario
 from phytac_design.stages.build import copy_of
 from phytac_design.workflows.simulate import (
     JOURNAL_FOLDER,
+    ImagingReference,
     SimulationResult,
     imaging_model,
+    observe_rest,
     simulate,
+    write_rest,
 )
 from phytac_shapes.errors import DesignError
 from tests.designs import CAMERA, small
@@ -79,18 +80,19 @@ def files(out: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _views_once() -> Iterator[None]:
-    """What a design shows is found once; processes of their own find it again."""
-    known: dict[str, dict[str, Any]] = {}
+def _rest_once() -> Iterator[None]:
+    """What an instance shows at rest is found once; processes of their own find it again."""
+    known: dict[tuple[object, ...], ImagingReference] = {}
 
-    def views(sensor: Sensor) -> dict[str, Any]:
-        key = design_hash(sensor.design)
+    def observed(job: Job, progress: Callable[[str], None]) -> ImagingReference:
+        touched = job.scenario.model_dump_json(exclude={"touch"})
+        key = (design_hash(job.design), touched, job.seed, job.accuracy)
         if key not in known:
-            known[key] = expected_views(sensor)
+            known[key] = observe_rest(job, progress)
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("phytac_design.workflows.simulate.expected_views", views)
+        patch.setattr("phytac_design.workflows.simulate.observe_rest", observed)
         yield
 
 
@@ -105,12 +107,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def read(out: Path) -> Samples:
     """Samples of a data set."""
     return read_samples(out, check_frames=True)[0]
-
-
-def test_the_data_do_not_depend_on_the_number_of_processes(whole: Path, tmp_path: Path) -> None:
-    run(job_of(), tmp_path / "two", workers=2)
-    assert files(tmp_path / "two") == files(whole)
-    assert set(files(whole)) == {TABLE, FILE}
 
 
 def test_samples_hold_what_was_pressed_and_what_was_seen(whole: Path) -> None:
@@ -182,7 +178,10 @@ def _often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phytac_design.workflows.simulate.PROGRESS_INTERVAL_s", 0.0)
 
 
-def test_a_killed_command_resumes_and_gives_the_same_files(whole: Path, tmp_path: Path) -> None:
+def test_a_killed_command_is_resumed_by_more_processes_and_gives_the_same_files(
+    whole: Path, tmp_path: Path
+) -> None:
+    """Neither what was killed nor the number of processes shows in the data."""
     design = tmp_path / "small.toml"
     design.write_text(to_toml(SMALL))
     coarse = tmp_path / "smoke.toml"
@@ -201,11 +200,12 @@ def test_a_killed_command_resumes_and_gives_the_same_files(whole: Path, tmp_path
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     assert not (out / TABLE).exists()
-    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
-    facts = json.loads(done.stdout)
-    assert 0 < facts["solved"] < 6
+    done = CliRunner().invoke(app, [*command[3:], "--workers", "2", "--json"])
+    assert done.exit_code == 0, done.output
+    assert 0 < json.loads(done.stdout)["solved"] < 6
     assert "were done before" in done.stderr
     assert files(out) == files(whole)
+    assert set(files(whole)) == {TABLE, FILE}
 
 
 def test_a_data_set_that_exists_is_kept_or_rejected(whole: Path) -> None:
@@ -268,7 +268,8 @@ def test_frames_are_kept_and_read_alike(tmp_path: Path) -> None:
         read_image(out / name).astype(float) for name in ("rest.png", "frames/000001.png")
     )
     again = tmp_path / "again"
-    run(job_of(tables={"solve": solve, "touch": {"samples": 2}}, keep="frames"), again, workers=0)
+    again.mkdir()
+    write_rest(again, job, observe_rest(job, lambda _: None))
     assert (again / "rest.png").read_bytes() == (out / "rest.png").read_bytes()
     sharp = 6.0 * SMALL.camera.noise_pixel
     assert 0.0 < np.mean(np.abs(rest - seen).max(axis=2) > sharp) < 0.2
