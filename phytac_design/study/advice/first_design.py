@@ -101,10 +101,10 @@ def first_design(
                 continue
             progress(f"trying {design.layout.wanted} markers")
             try:
-                own = design
-                if any_shell or not _mostly_hidden(design):
+                own, hidden = design, None if any_shell else _known_hidden(design)
+                if hidden is None or hidden.mean() <= HIDDEN_MAX:
                     own = _with_shell(design, materials, any_shell=any_shell)
-                hidden = _hidden(own)
+                    hidden = _hidden(own)
             except PhytacError as error:
                 least = str(error)
                 without_shell.append(design)
@@ -126,12 +126,15 @@ def _hidden(design: Design) -> BoolArray:
     return ~seen_at_rest(check_design(design)).clear
 
 
-def _mostly_hidden(design: Design) -> bool:
-    """Whether so many markers are hidden that no other wall is worth the seconds of its search."""
+def _known_hidden(design: Design) -> BoolArray | None:
+    """Hidden markers (n,), or None where a rule is broken that another wall may keep.
+
+    Where most are hidden, no other wall is worth the seconds of its search.
+    """
     try:
-        return bool(_hidden(design).mean() > HIDDEN_MAX)
-    except PhytacError:  # a rule that another wall may keep
-        return False
+        return _hidden(design)
+    except PhytacError:
+        return None
 
 
 def trip_force_N(design: Design) -> float:
