@@ -21,7 +21,7 @@ from phytac_design.rules.check import RULES, broken_rules, check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.simulation.scenario.linear_error import NEARLY_LINEAR, linear_error
 from phytac_design.study.advice.quick_repair import quick_repair, readable_switches, seen_at_rest
-from phytac_design.workflows import design_check
+from phytac_design.workflows import design_check, switch_feasibility
 from phytac_design.workflows.design_check import snapping_words, unreadable_fault
 from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
@@ -213,7 +213,12 @@ def test_a_quarter_of_the_switches_may_be_unreadable(
     assert (facts["visible"], facts["clear"]) == (True, False)
 
 
-def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
+def test_the_check_ends_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Bowls are solved for in ``test_switch_feasibility``.
+    monkeypatch.setattr(switch_feasibility, "misfit", lambda *_: "")
+    monkeypatch.setattr(switch_feasibility, "far_too_high", lambda *_: "")
+    monkeypatch.setattr(switch_feasibility, "feasible_range", lambda *_: None)
+
     def run(words: tuple[str, ...] = (), **tables: Any) -> Any:
         path = tmp_path / "mine.toml"
         path.write_text(to_toml(small(**tables)))

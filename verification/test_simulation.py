@@ -193,11 +193,15 @@ def check_response(values: Mapping[str, Any], found: Evidence) -> None:
 def check_sample(values: Mapping[str, Any], found: Evidence) -> None:
     """One sample of contacts given by hand, simulated: finite, or flagged with the reason."""
     data = {"name": "extreme", "touch": {"samples": 1, "at": values["at"]}}
-    # Half the resolution and few points a pixel: nothing depends on how well the sensor is seen.
+    # A small sensor, a coarse camera, few points a pixel: nothing depends on how well it is seen.
     solve = {"displacement": "auto", "samples_per_pixel": 8}
     scenario = parse_scenario(data | {"solve": solve}, "extreme")
-    camera = {"width_px": 1296, "height_px": 972, "focal_px": 485.0}
-    design = copy_of(load_design("cylinder60"), camera=camera)
+    small = {
+        "shape": {"length_mm": 60.0},
+        "layout": {"rows": 8, "columns": 16, "height_far_mm": 6.0},
+        "camera": {"width_px": 648, "height_px": 486, "focal_px": 242.5},
+    }
+    design = copy_of(load_design("cylinder60"), **small)
     job = Job(design=design, scenario=scenario, seed=11, accuracy="draft")
     with tempfile.TemporaryDirectory() as folder:
         simulate(job, Path(folder) / "data", workers=0, progress=lambda _: None)
