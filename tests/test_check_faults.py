@@ -213,12 +213,16 @@ def test_a_quarter_of_the_switches_may_be_unreadable(
     assert (facts["visible"], facts["clear"]) == (True, False)
 
 
-def test_the_check_ends_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Bowls are solved for in ``test_switch_feasibility``.
+@pytest.fixture
+def bowls_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bowls are solved for in ``test_switch_feasibility``."""
     monkeypatch.setattr(switch_feasibility, "misfit", lambda *_: "")
     monkeypatch.setattr(switch_feasibility, "far_too_high", lambda *_: "")
     monkeypatch.setattr(switch_feasibility, "feasible_range", lambda *_: None)
 
+
+@pytest.mark.usefixtures("bowls_fit")
+def test_the_check_ends_with_what_to_do(tmp_path: Path) -> None:
     def run(words: tuple[str, ...] = (), **tables: Any) -> Any:
         path = tmp_path / "mine.toml"
         path.write_text(to_toml(small(**tables)))
@@ -250,6 +254,7 @@ def test_the_check_ends_with_what_to_do(tmp_path: Path, monkeypatch: pytest.Monk
     assert hint < out.stderr.index("error["), "the likely cause comes first"
 
 
+@pytest.mark.usefixtures("bowls_fit")
 def test_the_check_says_that_a_turned_shell_looks_the_same(tmp_path: Path) -> None:
     path, words = tmp_path / "mine.toml", "the shell looks the same"
     for count in (0, 6):
