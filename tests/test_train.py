@@ -46,7 +46,7 @@ DESIGN = small(
 HASH = design_hash(DESIGN)
 SOFTER = 1.25
 """The data's sensor against the decoder's mechanics: what there is to learn."""
-LITTLE = 30
+LITTLE = 20
 BUNDLE = ("bundle.json", "bundle.safetensors")
 
 
@@ -334,11 +334,11 @@ def test_another_decoder_is_a_start(
     learn: Callable[..., Path], little: Path, tmp_path: Path
 ) -> None:
     first = learn(little)
-    out = learn(little, name="second", start=first, samples=25)
+    out = learn(little, name="second", start=first, samples=15)
     bundle = load_bundle(out)
     assert bundle.notes["start"]["design"] == "tiny"
     assert json.loads((out / TABLE).read_text())["start"] == bundle.notes["start"]
-    plain = learn(little, name="plain", samples=25)
+    plain = learn(little, name="plain", samples=15)
     assert (out / BUNDLE[1]).read_bytes() != (plain / BUNDLE[1]).read_bytes()
     known = load_bundle(first)
     bare = replace(known, model=replace(known.model, networks={}))
