@@ -117,8 +117,6 @@ class Case:
 class Cases(list[Case]):
     """The cases of a module."""
 
-    slow: tuple[str, ...] = SLOW
-
     def add(self, name: str, check: Check, expect: Expect = "right", /, **values: Any) -> None:
         """Add a case without a surface family."""
         self.append(Case(name=name, check=check, expect=expect, values=values))
@@ -145,7 +143,7 @@ class Cases(list[Case]):
 
     def fast(self) -> list[Case]:
         """Three of the quick cases: the first, one in the middle, the last."""
-        quick = [case for case in self if not any(word in case.name for word in self.slow)]
+        quick = [case for case in self if not any(word in case.name for word in SLOW)]
         return [quick[k * (len(quick) - 1) // 2] for k in range(3)]
 
 
