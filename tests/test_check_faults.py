@@ -336,6 +336,7 @@ def test_a_shell_that_snaps_under_its_largest_force_is_named() -> None:
     soft = changed("hemisphere", layout=few, material={"modulus_MPa": 5.0, "poisson": 0.48})
     (words,) = snapping_words(soft)
     assert words.startswith("the shell does not bear its largest force of 25 N in the middle: ")
+    assert words.count("(") == words.count(")")
     assert "wall.thickness_mm" in words
     # Far from linear, and stiffer by that: it does not snap.
     few = {"rows": 6, "columns": 6}

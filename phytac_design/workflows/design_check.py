@@ -82,7 +82,8 @@ def snapping_words(
         )
         result = press(sensor, place, refine=2, receptors=not unknown_receptors(design))
     except NumericalError as error:
-        why = str(error).partition(";")[0]
+        # Without details in brackets, and what to do.
+        why = str(error).partition(" (")[0].partition(";")[0]
     else:
         if not result.jumped and result.stable is not False:
             return []
