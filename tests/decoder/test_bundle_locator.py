@@ -139,7 +139,8 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
 
 def test_a_fitted_modulus_is_kept(tmp_path: Path) -> None:
     plain = bundle()
-    save_bundle(replace(plain, model=replace(plain.model, modulus=1.3)), tmp_path)
+    for folder in (tmp_path, tmp_path / "kept"):
+        save_bundle(replace(plain, model=replace(plain.model, modulus=1.3)), folder)
     assert load_bundle(tmp_path).model.modulus == 1.3
     path = tmp_path / "bundle.json"
     meta = json.loads(path.read_text())
@@ -148,7 +149,12 @@ def test_a_fitted_modulus_is_kept(tmp_path: Path) -> None:
         load_bundle(tmp_path)
     del meta["modulus"]
     path.write_text(json.dumps(meta))
-    assert load_bundle(tmp_path).model.modulus == 1.0
+    # Up to schema 1.20 networks and columns were learnt without large displacements.
+    old = load_bundle(tmp_path)
+    assert load_bundle(tmp_path / "kept").model.large_displacements is not None
+    assert old.model.large_displacements is None
+    save_bundle(old, tmp_path / "again")
+    assert load_bundle(tmp_path / "again").model.modulus is None
 
 
 def test_linear_tables_are_a_limit(tmp_path: Path) -> None:

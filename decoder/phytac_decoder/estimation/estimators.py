@@ -69,8 +69,9 @@ class ForceModel:
     tip_sd_px : float
         Standard deviation of a key node's own shift, beside the noise, in the forces that networks
         with the base ``key_nodes`` add to.
-    modulus : float
-        Modulus over that of the design, as K and C have it.
+    modulus : float or None
+        Modulus over that of the design, as K and C have it. None: networks and columns were learnt
+        without large displacements, which are left out.
     measured : MeasuredColumns, optional
         Columns that stand in place of those of C; ``auto`` has corrections of its own.
     footprint_px : (2n, n) float, optional
@@ -87,7 +88,7 @@ class ForceModel:
     camera_motion: CameraMotion | None = None
     noise_px: float = 0.06
     tip_sd_px: float = TIP_SD_px
-    modulus: float = 1.0
+    modulus: float | None = 1.0
     measured: MeasuredColumns | None = None
     footprint_px: FloatArray | None = None
 
@@ -292,7 +293,7 @@ class ForceModel:
     def large_displacements(self) -> LargeDisplacements | None:
         """Shifts beyond C·f, by the tables of ``auto``; None without any."""
         locator = self.locator
-        if locator is None or locator.places.orders < 2:
+        if self.modulus is None or locator is None or locator.places.orders < 2:
             return None
         stiffness = locator.correction.stiffness if locator.correction else 1.0
         return LargeDisplacements(

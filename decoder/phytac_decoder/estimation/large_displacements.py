@@ -44,8 +44,10 @@ class LargeDisplacements:
     places: ResponseTable
     position_mm: FloatArray
     softness: float = 1.0
-    _own: dict[int, NDArray[np.float32]] = field(default_factory=dict, repr=False)
-    _pairs: dict[tuple[int, int], NDArray[np.float32]] = field(default_factory=dict, repr=False)
+    _own: dict[int, NDArray[np.float32]] = field(default_factory=dict, init=False, repr=False)
+    _pairs: dict[tuple[int, int], NDArray[np.float32]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def shifts(self, receptors: IntArray, force_N: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return shifts (2n,) px of forces (m,) on receptors, and their slopes (m, 2n) by forces.

@@ -290,7 +290,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         "threshold_N": float(np.median(bundle.threshold_N)),
         "noise_centroid_px": float(bundle.noise_centroid_px),
         "tip_sd_px": float(model.tip_sd_px),
-        "modulus": float(model.modulus),
+        **({} if model.modulus is None else {"modulus": float(model.modulus)}),
         "force_max_N": float(bundle.force_max_N),
         "notes": bundle.notes,
     }
@@ -487,8 +487,8 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         },
         # Up to schema 1.15 it was not used.
         tip_sd_px=bounded(meta.get("tip_sd_px", TIP_SD_px), "tip_sd_px"),
-        # Up to schema 1.20 K and C alone had it.
-        modulus=bounded(meta.get("modulus", 1.0), "modulus", least=1e-3),
+        # Up to schema 1.20 large displacements were left out.
+        modulus=bounded(meta["modulus"], "modulus", least=1e-3) if "modulus" in meta else None,
         # Up to schema 1.16 there were none.
         measured=_measured(arrays),
     )
