@@ -138,6 +138,7 @@ def test_receptors_without_a_force_change_nothing() -> None:
     np.testing.assert_allclose(forces[ids], force_N, rtol=0.004)
     assert forces[[2, 90]].max() < 0.05
     assert not model().forces("koi_inverse", shift, more[:0]).any()
+    assert not model().beyond_linear_px(np.zeros(0), more[:0]).any()
 
 
 def drawn(count: int, seed: int, *, softer: float, linear: bool) -> Samples:

@@ -186,8 +186,12 @@ class CameraMotion:
         Least squares of shifts d by multiples f of rows r, and any motion, is that of these rows
         alone: ``(r' rᵀ) f = r' d``.
         """
-        inner = self.first @ self.first.T + noise_px**2 * self.prior
-        return np.asarray(rows - (rows @ self.first.T) @ np.linalg.solve(inner, self.first))
+        explained = np.linalg.solve(self.inner(noise_px), self.first)
+        return np.asarray(rows - (rows @ self.first.T) @ explained)
+
+    def inner(self, noise_px: float) -> FloatArray:
+        """Return the normal matrix (q, q) of the unknowns, given noise of shifts."""
+        return np.asarray(self.first @ self.first.T + noise_px**2 * self.prior)
 
     def estimate(self, shift_px: FloatArray, noise_px: float) -> FloatArray:
         """Return the motion (q,) behind shifts (2n,): least squares with the prior, robust.

@@ -316,11 +316,17 @@ class ForceModel:
         noise_px = max(self.noise_px, NOISE_LEAST_px)
         root.reshape(-1, 2)[koi] *= noise_px / np.hypot(noise_px, tip_sd_px)
         motion = self.camera_motion.weighted(root) if self.camera_motion else None
+        inner = motion.inner(self.noise_px) if motion else None
 
         def solved(rows: FloatArray, d: FloatArray) -> FloatArray:
-            c = rows * root
-            free = motion.free_of_motion(c, self.noise_px) if motion else c
-            return nonnegative_least_squares(free @ c.T, free @ (root * np.nan_to_num(d)))
+            c, seen = rows * root, root * np.nan_to_num(d)
+            gram, right = c @ c.T, c @ seen
+            if motion and inner is not None:
+                # As of rows that are free of motion, see there.
+                across = c @ motion.first.T
+                free = np.linalg.solve(inner, across.T).T
+                gram, right = gram - free @ across.T, right - free @ (motion.first @ seen)
+            return nonnegative_least_squares(gram, right)
 
         if self.large_displacements is None or not len(koi):
             return solved(rows, d)

@@ -17,7 +17,7 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 
 ITERATIONS_MAX = 10
-TOLERANCE = 1e-3
+TOLERANCE = 5e-3
 """Change of the forces, over the largest, at which the iteration ends."""
 TABLES_FACTOR = 2.0
 """Forces above this many times the largest tabulated one have the slope that is there."""
@@ -55,18 +55,21 @@ class LargeDisplacements:
         Both without what is linear in the forces.
         """
         force = self.softness * force_N
-        more, slope = np.zeros((2, len(force), self.places.shift_px.shape[2]))
-        size = np.zeros(len(force))
-        first = np.eye(self.places.orders)[0]
-        for k, (receptor, f) in enumerate(zip(receptors.tolist(), force.tolist(), strict=True)):
-            rows = self._rows(receptor)
-            powers, grows = order_factors(rows, f, self.places.top_N)
-            more[k] = f * ((powers - first) @ rows)
-            slope[k] = ((1.0 + grows) * powers - first) @ rows
-            size[k] = f * float(np.linalg.norm(rows[0]))
+        rows = [self._rows(receptor) for receptor in receptors.tolist()]
+        factors = [
+            order_factors(own, f, self.places.top_N)
+            for own, f in zip(rows, force.tolist(), strict=True)
+        ]
+        orders, coordinates = self.places.orders, self.places.shift_px.shape[2]
+        tables = np.array(rows).reshape(len(force), orders, coordinates)
+        powers, grows = np.array(factors).reshape(len(force), 2, orders).transpose(1, 0, 2)
+        first = np.eye(orders)[0]
+        more = force[:, None] * np.einsum("mk,mkn->mn", powers - first, tables)
+        slope = np.einsum("mk,mkn->mn", (1.0 + grows) * powers - first, tables)
         total = more.sum(axis=0)
         pairs = self.places.pairs
         if pairs is not None and len(force) > 1:
+            size = force * np.linalg.norm(tables[:, 0], axis=1)
             weights = self._interactions(pairs, receptors, force, size)
             each = np.tensordot(force, weights, axes=1) @ pairs.axes_px
             total += 0.5 * force @ each
