@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.estimation.estimators import KEPT_RESULTS, ForceModel
 
 COUNT = 40
 
@@ -40,3 +40,25 @@ def test_forces_are_the_least_squares_over_what_is_seen(hidden: tuple[int, ...])
     np.testing.assert_allclose(found[koi], right, rtol=1e-6, atol=1e-9)
     assert np.count_nonzero(found) <= len(koi)
     np.testing.assert_array_equal(shift, given)
+
+
+def test_results_of_a_frame_are_kept_and_belong_to_those_who_ask() -> None:
+    forces, koi = model(), np.array([4, 11, 31])
+    shifts = np.random.default_rng(4).normal(size=(KEPT_RESULTS + 2, COUNT, 2))
+    fresh = [model().forces("koi_inverse", shift, koi) for shift in shifts]
+    for shift, right in zip(shifts, fresh, strict=True):
+        for _ in range(2):
+            np.testing.assert_array_equal(forces.forces("koi_inverse", shift, koi), right)
+        own = forces.key_node_forces(shift, koi)
+        own[:] = -1.0
+        assert (forces.key_node_forces(shift, koi) >= 0.0).all()
+    assert len(forces._kept) == KEPT_RESULTS
+    # Other key nodes, and the weight of their own shifts, are other results.
+    assert (forces.forces("koi_inverse", shifts[-1], koi[:2]) != fresh[-1]).any()
+    own = forces.key_node_forces(shifts[-1], koi)
+    assert (own != forces.forces("koi_inverse", shifts[-1], koi)[koi]).any()
+    # An array that is filled anew is another frame.
+    shift = shifts[0].copy()
+    forces.forces("koi_inverse", shift, koi)
+    shift[:] = shifts[1]
+    np.testing.assert_array_equal(forces.forces("koi_inverse", shift, koi), fresh[1])

@@ -1,5 +1,6 @@
 """Forces from marker displacements: the paper's two estimators and the compliance inverse."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,6 +24,11 @@ tip covers paint, by 0.13 px more or less on another print than is predicted, an
 under the contact itself."""
 NOISE_LEAST_px = 0.01
 """Noise of shifts against which that is weighed, at least."""
+
+
+KEPT_RESULTS = 6
+"""Results of one frame that are kept for those who ask again: forces and motion, before and after
+motion is taken off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,12 +271,36 @@ class ForceModel:
 
     def motion(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Return the motion (q,) of the cameras since the rest frame, as ``koi_inverse`` has it."""
-        if self.camera_motion is None:
+        moving = self.camera_motion
+        if moving is None:
             return np.zeros(0)
-        d, force = shift_px.reshape(-1), self._inverse(shift_px, koi)
-        pressed = force @ self.patterns[0][koi] + self.beyond_linear_px(force, koi)
-        free = self.camera_motion.masked(np.isfinite(d))
-        return free.estimate(np.nan_to_num(d - pressed), self.noise_px)
+
+        def estimated() -> FloatArray:
+            d, force = shift_px.reshape(-1), self._inverse(shift_px, koi)
+            pressed = force @ self.patterns[0][koi] + self.beyond_linear_px(force, koi)
+            free = moving.masked(np.isfinite(d))
+            return free.estimate(np.nan_to_num(d - pressed), self.noise_px)
+
+        return self._once("motion", shift_px, koi, estimated)
+
+    def _once(
+        self, name: str, shift_px: FloatArray, koi: IntArray, work: Callable[[], FloatArray]
+    ) -> FloatArray:
+        """Return what ``work`` does with these inputs; the last few results are kept.
+
+        Estimators and checks of one frame ask for the same several times.
+        """
+        key = name, shift_px.tobytes(), koi.tobytes()
+        found = self._kept.get(key)
+        if found is None:
+            while len(self._kept) >= KEPT_RESULTS:
+                self._kept.pop(next(iter(self._kept)), None)
+            found = self._kept[key] = work()
+        return found.copy()
+
+    @cached_property
+    def _kept(self) -> dict[tuple[str, bytes, bytes], FloatArray]:
+        return {}
 
     def beyond_linear_px(self, force_N: FloatArray, koi: IntArray) -> FloatArray:
         """Return the shifts (2n,) of forces (m,) N on key nodes that C·f does not have."""
@@ -310,6 +340,11 @@ class ForceModel:
         Large displacements are added to C·f. Motion of the cameras is left free, within its prior.
         Key nodes' own shifts may have another standard deviation beside the noise.
         """
+        return self._once(
+            f"inverse {tip_sd_px}", shift_px, koi, lambda: self._solved(shift_px, koi, tip_sd_px)
+        )
+
+    def _solved(self, shift_px: FloatArray, koi: IntArray, tip_sd_px: float) -> FloatArray:
         rows, d = self.patterns[0][koi], shift_px.reshape(-1)
         found = np.isfinite(d)
         root = found.astype(np.float64)
