@@ -42,7 +42,7 @@ LAYOUT: dict[str, Any] = {
 TRAINING = {"samples": 60, "samples_test": 30, "patch_radius_min_mm": 5.0}
 STAGES = {"near": ["decoder"], "both": ["underload", "frames"]}
 ACCURACY = replace(PRESETS["draft"], frames=1, press_places=1, place_share=1.5)
-"""Forces are those of ``koi_inverse``, which uses no tabulated places."""
+"""Forces are those of ``koi_inverse``, which uses no tables of one order."""
 
 
 def cylinder(ends: str, **layout: Any) -> Design:

@@ -57,7 +57,7 @@ def test_results_of_a_frame_are_kept_and_belong_to_those_who_ask() -> None:
     assert (forces.forces("koi_inverse", shifts[-1], koi[:2]) != fresh[-1]).any()
     own = forces.key_node_forces(shifts[-1], koi)
     assert (own != forces.forces("koi_inverse", shifts[-1], koi)[koi]).any()
-    # An array that is filled anew is another frame.
+    # The same array with other shifts is another frame.
     shift = shifts[0].copy()
     forces.forces("koi_inverse", shift, koi)
     shift[:] = shifts[1]

@@ -180,18 +180,23 @@ class CameraMotion:
             out.append("light, exposure, focus or the delay between rows have changed")
         return out
 
-    def free_of_motion(self, rows: FloatArray, noise_px: float) -> FloatArray:
-        """Return rows (m, 2n) less what a motion would explain of them, given noise of shifts.
+    def normal_equations(
+        self, rows: FloatArray, shift_px: FloatArray, noise_px: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return matrix (m, m) and right-hand side (m,) of multiples of rows, any motion beside.
 
-        Least squares of shifts d by multiples f of rows r, and any motion, is that of these rows
-        alone: ``(r' rᵀ) f = r' d``.
+        Least squares of shifts (2n,) by multiples of rows (m, 2n) and by the motion, whose unknowns
+        are eliminated, given noise of shifts.
         """
-        explained = np.linalg.solve(self.inner(noise_px), self.first)
-        return np.asarray(rows - (rows @ self.first.T) @ explained)
+        inner = self._gram + noise_px**2 * self.prior
+        across = rows @ self.first.T
+        explained = np.linalg.solve(inner, across.T).T
+        gram = rows @ rows.T - explained @ across.T
+        return gram, rows @ shift_px - explained @ (self.first @ shift_px)
 
-    def inner(self, noise_px: float) -> FloatArray:
-        """Return the normal matrix (q, q) of the unknowns, given noise of shifts."""
-        return np.asarray(self.first @ self.first.T + noise_px**2 * self.prior)
+    @cached_property
+    def _gram(self) -> FloatArray:
+        return np.asarray(self.first @ self.first.T)
 
     def estimate(self, shift_px: FloatArray, noise_px: float) -> FloatArray:
         """Return the motion (q,) behind shifts (2n,): least squares with the prior, robust.

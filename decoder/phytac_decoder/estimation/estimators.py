@@ -24,11 +24,9 @@ tip covers paint, by 0.13 px more or less on another print than is predicted, an
 under the contact itself."""
 NOISE_LEAST_px = 0.01
 """Noise of shifts against which that is weighed, at least."""
-
-
 KEPT_RESULTS = 6
-"""Results of one frame that are kept for those who ask again: forces and motion, before and after
-motion is taken off."""
+"""Latest results that are kept: forces and motion of the cameras in one frame are asked for several
+times, with the shifts as measured and without that motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,10 +284,7 @@ class ForceModel:
     def _once(
         self, name: str, shift_px: FloatArray, koi: IntArray, work: Callable[[], FloatArray]
     ) -> FloatArray:
-        """Return what ``work`` does with these inputs; the last few results are kept.
-
-        Estimators and checks of one frame ask for the same several times.
-        """
+        """Return the result of ``work`` for these inputs, computed once; see ``KEPT_RESULTS``."""
         key = name, shift_px.tobytes(), koi.tobytes()
         found = self._kept.get(key)
         if found is None:
@@ -351,17 +346,13 @@ class ForceModel:
         noise_px = max(self.noise_px, NOISE_LEAST_px)
         root.reshape(-1, 2)[koi] *= noise_px / np.hypot(noise_px, tip_sd_px)
         motion = self.camera_motion.weighted(root) if self.camera_motion else None
-        inner = motion.inner(self.noise_px) if motion else None
 
         def solved(rows: FloatArray, d: FloatArray) -> FloatArray:
             c, seen = rows * root, root * np.nan_to_num(d)
-            gram, right = c @ c.T, c @ seen
-            if motion and inner is not None:
-                # As of rows that are free of motion, see there.
-                across = c @ motion.first.T
-                free = np.linalg.solve(inner, across.T).T
-                gram, right = gram - free @ across.T, right - free @ (motion.first @ seen)
-            return nonnegative_least_squares(gram, right)
+            equations = c @ c.T, c @ seen
+            if motion:
+                equations = motion.normal_equations(c, seen, self.noise_px)
+            return nonnegative_least_squares(*equations)
 
         if self.large_displacements is None or not len(koi):
             return solved(rows, d)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.mechanics.interaction_table import InteractionTable
+from phytac_decoder.mechanics.interaction_table import SHARE_MAX, InteractionTable
 from phytac_decoder.mechanics.membrane_stretching import order_factors
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -21,8 +21,6 @@ TOLERANCE = 5e-3
 """Change of the forces, over the largest, at which the iteration ends."""
 TABLES_FACTOR = 2.0
 """Forces above this many times the largest tabulated one have the slope that is there."""
-INTERACTION_SHARE_MAX = 0.3
-"""Largest interaction of two forces over the smaller one's shifts, as in ``auto``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,6 +127,6 @@ class LargeDisplacements:
                     row = self._pairs[one, other] = np.append(row, norm)
                 out[i, k] = out[k, i] = row
         much = np.outer(force, force) * out[:, :, -1]
-        least = INTERACTION_SHARE_MAX * np.minimum.outer(size, size)
+        least = SHARE_MAX * np.minimum.outer(size, size)
         share = np.minimum(1.0, least / np.maximum(much, 1e-30))
         return np.asarray(out[:, :, :-1] * share[:, :, None])

@@ -438,12 +438,12 @@ class ContactLocator:
     def _switch_forces(self, seen: ShiftObservation) -> SwitchForces:
         """Return the force on each switch that is on, by the compliance inverse."""
         rows = self._rows[seen.koi] * seen.found
-        free = rows
         if seen.camera_motion:
             motion = seen.camera_motion.masked(seen.found)
-            free = motion.free_of_motion(rows, self.noise.median_px)
-        gram = free @ rows.T
-        force = nonnegative_least_squares(gram, free @ seen.shift_px)
+            gram, right = motion.normal_equations(rows, seen.shift_px, self.noise.median_px)
+        else:
+            gram, right = rows @ rows.T, rows @ seen.shift_px
+        force = nonnegative_least_squares(gram, right)
         # Beside a rim noise alone decides which of two switches seems to carry a force.
         weight = np.eye(len(gram)) / self.prior.force_N**2
         weight += gram / (self.noise.median_px * seen.noise_scale) ** 2

@@ -19,6 +19,10 @@ from numpy.typing import NDArray
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray
 
+SHARE_MAX = 0.3
+"""Largest interaction over the shifts of each contact alone: the tables do not hold for contacts
+that nearly coincide."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class InteractionTable:
@@ -100,8 +104,6 @@ def add_interactions(
     images: NDArray[np.float32],
     force_N: FloatArray,
     parts: Sequence[tuple[FloatArray, FloatArray]],
-    *,
-    share_max: float = 0.3,
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return shifts and slopes of c contacts with their interactions.
 
@@ -114,16 +116,13 @@ def add_interactions(
     parts : sequence of ((2n,), (u, 2n)) float
         Shifts of each, and their slopes by its unknowns, of which the first is the force; the
         slopes are changed. They leave out the small change of M with the places.
-    share_max : float
-        Largest interaction over the shifts of each contact alone: the tables do not hold for
-        contacts that nearly coincide.
     """
     size = np.array([np.linalg.norm(total) for total, _ in parts])
     # Strictly below the diagonal, row by row, as the images.
     i, k = np.array(_each_two(len(parts))).T
     both = force_N[i] * force_N[k]
     much = both * np.linalg.norm(images, axis=1)
-    share = np.minimum(1.0, share_max * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300))
+    share = np.minimum(1.0, SHARE_MAX * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300))
     of, pair = np.zeros((2, len(parts), len(images))), np.arange(len(images))
     of[0, i, pair] = of[0, k, pair] = 0.5 * both * share
     of[1, i, pair], of[1, k, pair] = force_N[k] * share, force_N[i] * share

@@ -195,8 +195,8 @@ class LightChange:
     red_share : float
         Share of markers that are redder than at rest, unlike the others.
     beyond_range : float
-        Level that most markers would have over the highest that the picture can show, where most of
-        them are clipped; 0 where they are not.
+        Brightness that markers would have without clipping, over the highest level of a picture
+        (median); 0 if not more than half of the markers are clipped.
     """
 
     red_share: float

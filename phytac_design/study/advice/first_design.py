@@ -101,7 +101,8 @@ def first_design(
                 continue
             progress(f"trying {design.layout.wanted} markers")
             try:
-                own, hidden = design, None if any_shell else _known_hidden(design)
+                own = design
+                hidden = None if any_shell else _known_hidden(design)
                 if hidden is None or hidden.mean() <= HIDDEN_MAX:
                     own = _with_shell(design, materials, any_shell=any_shell)
                     hidden = _hidden(own)
