@@ -130,6 +130,19 @@ def test_forces_beyond_the_tables_are_finite_and_grow() -> None:
     np.testing.assert_allclose(three - two, two - one, rtol=1e-4)
 
 
+def test_forces_that_would_alternate_settle() -> None:
+    class Alternating(LargeDisplacements):
+        def shifts(self, receptors: IntArray, force_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+            return force_N, np.zeros((len(receptors), 1))
+
+    def least_squares(rows: FloatArray, shift_px: FloatArray) -> FloatArray:
+        return shift_px
+
+    own = Alternating(places=large().places, position_mm=MARKERS)
+    forces = own.solve(least_squares, np.ones((1, 1)), np.array([8.0]), np.array([44]))
+    np.testing.assert_allclose(forces, 4.0, rtol=0.01)
+
+
 def test_receptors_without_a_force_change_nothing() -> None:
     ids, force_N = PRESSES[1]
     shift = seen(ids, force_N).reshape(-1, 2)

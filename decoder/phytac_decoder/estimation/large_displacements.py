@@ -16,7 +16,10 @@ from phytac_decoder.mechanics.membrane_stretching import order_factors
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 
-ITERATIONS_MAX = 10
+ITERATIONS_MAX = 12
+FULL_STEPS = 4
+"""Iterations after which steps are halved: where the interaction of two forces has its limit, a
+weak force may alternate between two values."""
 TOLERANCE = 5e-3
 """Change of the forces, over the largest, at which the iteration ends."""
 TABLES_FACTOR = 2.0
@@ -81,7 +84,7 @@ class LargeDisplacements:
         shift_px: FloatArray,
         receptors: IntArray,
     ) -> FloatArray:
-        """Return the forces (m,) N on receptors behind shifts (2n,) px, by Gauss and Newton.
+        """Return the forces (m,) N on receptors behind shifts (2n,) px, by the Gauss-Newton method.
 
         Parameters
         ----------
@@ -92,11 +95,12 @@ class LargeDisplacements:
         """
         force = least_squares(linear_px, shift_px)
         most_N = TABLES_FACTOR * self.places.top_N / self.softness
-        for _ in range(ITERATIONS_MAX):
+        for number in range(ITERATIONS_MAX):
             at = np.minimum(force, most_N)
             more, slope = self.shifts(receptors, at)
             new = least_squares(linear_px + slope, shift_px - more + at @ slope)
-            change, force = np.abs(new - force).max(), new
+            step = new - force if number < FULL_STEPS else 0.5 * (new - force)
+            change, force = np.abs(step).max(), force + step
             if change <= TOLERANCE * max(float(force.max()), 1.0):
                 break
         return force
