@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.estimation.estimators import MeasuredColumns
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import SETTINGS as LOCATOR
 from phytac_decoder.estimation.locator import sd_with_factor
+from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
@@ -230,6 +230,33 @@ def test_measured_columns_are_kept(built: BuildResult, tmp_path: Path) -> None:
     save_bundle(replace(bundle, model=replace(model, measured=columns)), tmp_path)
     with refused("bundle-id-invalid"):
         load_bundle(tmp_path)
+
+
+def test_measured_squares_and_pairs_are_kept(built: BuildResult, tmp_path: Path) -> None:
+    bundle = load_bundle(built.out / "decoder")
+    model, n = bundle.model, len(bundle.position_mm)
+    rows = np.random.default_rng(0).normal(size=(2 * n, 4))
+    columns = MeasuredColumns(
+        marker=np.array([20, 4]),
+        shift_px=model.compliance_px[:, [20, 4]],
+        square_px=rows[:, :2],
+        pair=np.array([[20, 9], [4, 4]]),
+        pair_px=rows[:, 2:],
+    )
+    save_bundle(replace(bundle, model=replace(model, measured=columns)), tmp_path)
+    found = load_bundle(tmp_path).model.measured
+    assert found is not None
+    assert sorted(found.pairs) == [(9, 4), (20, 4)]
+    np.testing.assert_allclose(found.squares[4], rows[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(found.pairs[9, 4], rows[:, 3], rtol=1e-6)
+    for broken, code in (
+        (replace(columns, pair=np.array([[20, n], [4, 4]])), "bundle-id-invalid"),
+        (replace(columns, pair_px=rows[:, 3:]), "bundle-array-shape"),
+        (replace(columns, square_px=rows[:, :1]), "bundle-array-shape"),
+    ):
+        save_bundle(replace(bundle, model=replace(model, measured=broken)), tmp_path)
+        with refused(code):
+            load_bundle(tmp_path)
 
 
 def test_a_damaged_array_is_refused(built: BuildResult, tmp_path: Path) -> None:

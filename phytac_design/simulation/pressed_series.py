@@ -1,7 +1,9 @@
 """What a disc at a place does to receptors and to their images, in powers of its force.
 
 The powers are fitted to the motion at a few forces, the greatest last; that motion is linear,
-Koiter's expansion to third order, or large displacements where the expansion does not hold.
+Koiter's expansion to third order, or large displacements where the expansion does not hold. Curved
+walls soften as they are pressed in, and the terms of the expansion are then about a geometric
+series, which is summed (Padé approximant).
 """
 
 from dataclasses import replace
@@ -26,6 +28,9 @@ LARGE_SOLVED_ABOVE = {4: 0.06, 5: 0.005}
 """Error of the expansion at the greatest force, in the norm of the stiffness, from which on
 large displacements are solved, by the powers of the force that are kept. With fewer powers none
 are."""
+SUMMED_MAX = 0.5
+"""Share of the stiffness that the greatest force takes away by a geometric series, up to which that
+is summed."""
 
 
 class DiscResponse:
@@ -167,7 +172,11 @@ class DiscResponse:
         size = np.linalg.norm(first.reshape(-1, 6)[:, :3], axis=1)
         if not float(more.max()) <= series_terms_max * float(size.max()):
             return []
-        return [f * first + f**2 * second + f**3 * third for f in self.forces]
+        ratio = float(third @ second) / max(float(second @ second), 1e-30)
+        if not 0.0 <= most * ratio <= SUMMED_MAX:
+            ratio = 0.0
+        rest = third - ratio * second
+        return [f * first + (f**2 * second + f**3 * rest) / (1.0 - ratio * f) for f in self.forces]
 
     def _gap(self, load: FloatArray, first: FloatArray, series: list[FloatArray]) -> float:
         """Error of the expansion at the greatest force; inf where it says nothing."""

@@ -13,13 +13,13 @@ import numpy as np
 
 from phytac_decoder.estimation.estimators import (
     ForceModel,
-    MeasuredColumns,
     NOISE_LEAST_px,
     TIP_SD_px,
 )
+from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_design.datasets.samples import FAILED, Samples, pressed_nodes
 from phytac_design.training.join_datasets import select_samples
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 SAMPLES_MAX = 120
 """Samples that are used: three parameters need no more."""
@@ -36,7 +36,12 @@ at all; the least validation error decides."""
 MODEL_ERROR = 0.03
 """Share of a motion that no column explains, independently from contact to contact."""
 PRESSES_MIN = 2
-"""Contacts on a marker that measure its column, at least."""
+"""Contacts on a marker that measure its column, and of a pair its interaction, at least."""
+PAIR_SD = 1.0
+"""Standard deviation of interactions over their size by the tables, which are of second order, and
+of discs larger than a switch's footprint."""
+PAIRS_MAX = 400
+"""Pairs whose interactions are measured, at most: those that were pressed most often."""
 NOISE_SHARE_MIN = 0.2
 """Changes of an entry that move a marker by less than this share of its noise are not sought."""
 NODES_MIN = 10
@@ -148,8 +153,10 @@ def _forces(model: ForceModel, samples: Samples) -> tuple[FloatArray, FloatArray
 def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredColumns | None:
     """Measure columns of the compliance by known forces; None if no marker was pressed often.
 
-    Each entry has the model's as prior mean, and as prior standard deviation ``column_sd`` times
-    the marker's shift by design (Bayesian linear regression, a marker at a time).
+    With large displacements, terms by the square of each force and by the forces of each two are
+    measured as well. Each entry has the model's as prior mean, and as prior standard deviation
+    ``column_sd`` times the marker's shift by design, at the largest force of the data, or
+    ``PAIR_SD`` times an interaction by the tables (Bayesian linear regression, a marker at a time).
     """
     if samples.truth is None or samples.shift_px is None:
         return None
@@ -158,33 +165,77 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
     force = np.zeros((samples.count, count))
     np.add.at(force, (samples.truth.sample, samples.truth.marker), samples.truth.force_N)
     force, shift = force[usable], samples.shift_px[usable]
-    marker = np.flatnonzero(np.count_nonzero(force, axis=0) >= PRESSES_MIN)
+    pressed = force > 0.0
+    marker = np.flatnonzero(np.count_nonzero(pressed, axis=0) >= PRESSES_MIN)
     if not len(marker):
         return None
     design = model.compliance_px.reshape(count, 2, count)
     size = np.hypot(design[:, 0], design[:, 1])
     residual = shift - np.einsum("sk,nik->sni", force, design)
-    if model.large_displacements:
+    columns = _Terms(inputs=force[:, marker], sd_px=column_sd * size[:, marker])
+    terms, pair = [columns], np.zeros((2, 0), dtype=np.int64)
+    large = model.large_displacements
+    if large:
         for sample, each in enumerate(force):
             own = np.flatnonzero(each)
-            more_px, _ = model.large_displacements.shifts(own, each[own])
+            more_px, _ = large.shifts(own, each[own])
             residual[sample] -= more_px.reshape(count, 2)
+        largest = force[:, marker].max(axis=0)
+        terms.append(_Terms(inputs=force[:, marker] ** 2, sd_px=columns.sd_px / largest))
+    if large and large.places.pairs:
+        pair = _pairs(pressed)
+        inputs, images_px = large.interactions(pair, force)
+        sizes = np.linalg.norm(images_px.reshape(-1, count, 2), axis=2)
+        terms.append(_Terms(inputs=inputs, sd_px=PAIR_SD * sizes.T))
     moved = force**2 @ size.T**2
     noise_px = max(model.noise_px, NOISE_LEAST_px)
-    largest = force.max(axis=0)
-    out = design[:, :, marker].copy()
+    inputs = np.concatenate([each.inputs for each in terms], axis=1)
+    sd_px = np.concatenate([each.sd_px for each in terms], axis=1)
+    largest_px = sd_px * inputs.max(axis=0)
+    out = np.zeros((count, 2, len(inputs.T)))
     for row in range(count):
         known = np.isfinite(residual[:, row, 0])
-        sd = column_sd * size[row, marker]
-        sought = np.flatnonzero(sd * largest[marker] > NOISE_SHARE_MIN * noise_px)
+        sought = np.flatnonzero(largest_px[row] > NOISE_SHARE_MIN * noise_px)
         if not len(sought) or not known.any():
             continue
+        sd = sd_px[row, sought]
         weight = 1.0 / (noise_px**2 + MODEL_ERROR**2 * moved[known, row])
-        scaled = force[np.ix_(known, marker[sought])] * sd[sought]
+        scaled = inputs[np.ix_(known, sought)] * sd
         normal = scaled.T @ (weight[:, None] * scaled) + np.eye(len(sought))
         right = scaled.T @ (weight[:, None] * residual[known, row])
-        out[row][:, sought] += (sd[sought, None] * np.linalg.solve(normal, right)).T
-    return MeasuredColumns(marker=marker, shift_px=out.reshape(2 * count, -1))
+        out[row][:, sought] = (sd[:, None] * np.linalg.solve(normal, right)).T
+    found = np.split(out.reshape(2 * count, -1), [len(marker), 2 * len(marker)], axis=1)
+    return MeasuredColumns(
+        marker=marker,
+        shift_px=model.compliance_px[:, marker] + found[0],
+        square_px=found[1],
+        pair=pair,
+        pair_px=found[2],
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Terms:
+    """Terms of the shifts of n markers in s samples.
+
+    Attributes
+    ----------
+    inputs : (s, k) float
+        What each is in proportion to: powers of forces.
+    sd_px : (n, k) float
+        Prior standard deviation of the shift of each marker by one of it.
+    """
+
+    inputs: FloatArray
+    sd_px: FloatArray
+
+
+def _pairs(pressed: BoolArray) -> IntArray:
+    """Pairs (2, k) of markers that samples (s, n) have pressed together often."""
+    together = pressed.astype(np.float64).T @ pressed
+    one, other = np.nonzero(np.tril(together, -1) >= PRESSES_MIN)
+    most = np.sort(np.argsort(-together[one, other], kind="stable")[:PAIRS_MAX])
+    return np.stack([one[most], other[most]])
 
 
 def _modulus(found: FloatArray, truth: FloatArray) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera_motion import CameraMotion
+from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.large_displacements import LargeDisplacements
@@ -19,7 +20,7 @@ from phytac_design.training.training_data import SplitPart, data_of
 from phytac_shapes.arrays import FloatArray, IntArray
 from tests.decoder import flat_samples
 from tests.decoder.flat_sensor import MARKERS, flat_locator, neighbours, per_newton
-from tests.decoder.test_pairs import aware, pressed
+from tests.decoder.test_pairs import aware, pressed, softer, states
 from tests.decoder.toy_sensor import toy_bundle
 
 N = len(MARKERS)
@@ -109,6 +110,17 @@ def test_a_model_takes_what_its_tables_were_scaled_by() -> None:
     fitted = replace(plain.locator, correction=correction)
     assert large(replace(plain, locator=fitted)).softness == pytest.approx(1.25 / 1.1)
     assert large(plain).softness == pytest.approx(1.0 / 1.1)
+
+
+def test_they_are_those_of_auto_where_the_wall_softens() -> None:
+    """Contacts on receptors, by the tables of ``auto``: two ways to one shift."""
+    places = softer(0.012)
+    own = LargeDisplacements(places=places, position_mm=MARKERS)
+    ids, force = np.array([33, 45, 57]), np.array([21.0, 9.0, 25.0])
+    found = states(places, [MARKERS[k] for k in ids], force.tolist())
+    wanted = np.sum([one for one, _ in predicted_shifts(places, found)], axis=0)
+    wanted -= LINEAR[:, ids] @ force
+    np.testing.assert_allclose(own.shifts(ids, force)[0], wanted, atol=4e-3 * np.abs(wanted).max())
 
 
 def test_forces_beyond_the_tables_are_finite_and_grow() -> None:
@@ -240,6 +252,53 @@ def test_columns_are_measured_beside_large_displacements() -> None:
         errors.append(np.linalg.norm(column - wanted) / np.linalg.norm(wanted))
     assert errors[0] < 0.02
     assert errors[1] > 0.1
+
+
+def test_squares_and_pairs_are_measured() -> None:
+    """Receptors that soften more than by design, and two that soften each other more."""
+    of, rng, count = model(), np.random.default_rng(0), 120
+    ids = np.array([44, 45, 66])
+    square = {44: 0.008 * LINEAR[:, 44], 66: -0.006 * LINEAR[:, 66]}
+    pair = 0.006 * (LINEAR[:, 44] + LINEAR[:, 45])
+    force, shift = np.zeros((count, N)), np.zeros((count, N, 2))
+    for k in range(count):
+        own = (ids, ids[:2], ids[:1], ids[2:])[k % 4]
+        force[k, own] = rng.uniform(1.0, 12.0, len(own))
+        shown = seen(own.tolist(), force[k, own].tolist()) + force[k, 44] * force[k, 45] * pair
+        shown += sum(force[k, one] ** 2 * row for one, row in square.items())
+        shift[k] = shown.reshape(N, 2)
+    bits = force > 0.0
+    samples = replace(
+        flat_samples.pressed(count, seed=0),
+        shift_px=shift + rng.normal(0.0, 0.01, shift.shape),
+        truth=truth_rows(bits, np.full(bits.shape, -1), force),
+    )
+    found = measure(of, samples, 0.3)
+    assert found is not None
+    assert found.pair.T.tolist() == [[45, 44], [66, 44], [66, 45]]
+    for one, row in square.items():
+        assert np.linalg.norm(found.squares[one] - row) < 0.3 * np.linalg.norm(row)
+    assert np.linalg.norm(found.pairs[45, 44] - pair) < 0.25 * np.linalg.norm(pair)
+    assert np.linalg.norm(found.pairs[66, 44]) < 0.3 * np.linalg.norm(pair)
+    errors = []
+    for each in (of, replace(of, measured=found)):
+        read = [each.forces("koi_inverse", shift[k], np.flatnonzero(bits[k])) for k in range(12)]
+        errors.append(np.abs(np.array(read) - force[:12])[bits[:12]])
+    assert errors[1].mean() < 0.15 * errors[0].mean()
+    # On a print whose wall is stiffer the same is measured.
+    stiff = measure(replace(of, modulus=1.1, compliance_px=LINEAR), samples, 0.3)
+    assert stiff is not None
+    large = replace(of, modulus=1.1, compliance_px=LINEAR, measured=stiff)
+    read = [large.forces("koi_inverse", shift[k], np.flatnonzero(bits[k])) for k in range(12)]
+    assert np.abs(np.array(read) - force[:12]).max() < 0.3
+
+
+def test_a_linear_shell_has_neither_squares_nor_pairs() -> None:
+    samples = flat_samples.pressed(60, seed=0)
+    found = measure(model().linear, samples, 0.3)
+    assert found is not None
+    assert not found.square_px.size
+    assert found.squares == found.pairs == {}
 
 
 def test_they_are_not_taken_for_motion_of_the_camera() -> None:

@@ -193,6 +193,52 @@ def test_mixed_terms_are_no_more_than_a_share_of_what_each_does_alone() -> None:
     assert np.linalg.norm(more) == pytest.approx(0.3 * np.linalg.norm(alone[1]), rel=1e-4)
 
 
+def softer(softening: float, top_N: float = 25.0) -> ResponseTable:
+    """Tables of a wall whose shifts beyond linear ones are f² / (1 - a·f), with interactions."""
+    places = aware(flat_locator()).places
+    forces = top_N * np.array([1.0, 2.0, 3.0]) / 3.0
+    powers = np.linalg.solve(forces[:, None] ** np.arange(3), 1.0 / (1.0 - softening * forces))
+    more = places.shift_px[:, 1:2] * powers[:, None].astype(np.float32)
+    return places.with_rows(np.concatenate([places.shift_px[:, :1], more], axis=1), top_N=top_N)
+
+
+@pytest.mark.parametrize("softening", [0.0, 0.005, 0.012, 0.02])
+def test_softening_is_that_of_the_shifts(softening: float) -> None:
+    np.testing.assert_allclose(softer(softening).softening, softening, rtol=0.06, atol=1e-6)
+
+
+def test_walls_that_stiffen_or_have_two_powers_do_not_soften() -> None:
+    assert not softer(-0.01).softening.any()
+    assert not aware(flat_locator()).places.softening.any()
+    # At half of the stiffness that is lost the tables end.
+    assert softer(0.035).softening.max() == pytest.approx(0.5 / 25.0)
+
+
+@pytest.mark.parametrize("force_N", [[6.0, 15.0], [25.0, 25.0], [40.0, 45.0]])
+def test_interactions_grow_as_the_wall_softens(force_N: list[float]) -> None:
+    places = softer(0.012)
+    pair = states(places, force_N=force_N)
+    alone = [predicted_shifts(places, [one])[0][0] for one in pair]
+    more = total(places, pair) - np.sum(alone, axis=0)
+    left = max(1.0 - float(places.softening[0]) * sum(force_N), 0.25)
+    wanted = force_N[0] * force_N[1] * mixed(*AT) / left
+    assert np.linalg.norm(more - wanted) < 0.02 * np.linalg.norm(wanted)
+
+
+@pytest.mark.parametrize("force_N", [[6.0, 15.0], [25.0, 22.0], [40.0, 45.0]])
+def test_slopes_by_forces_are_differences_where_the_wall_softens(force_N: list[float]) -> None:
+    places = softer(0.012)
+    found = states(places, force_N=force_N)
+    slopes = [slope[0] for _, slope in predicted_shifts(places, found)]
+    for one, slope in zip(found, slopes, strict=True):
+        ends = []
+        for step in (-0.01, 0.02):
+            one.x[0] += step
+            ends.append(total(places, found))
+        one.x[0] -= 0.01
+        np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 0.02, atol=4e-3)
+
+
 def test_contacts_on_each_other_stay_finite() -> None:
     places = aware(flat_locator()).places
     found = states(places, [AT[0], AT[0]], [9.0, 0.0])

@@ -9,7 +9,7 @@ import pytest
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.camera_motion import MARKED, MarkedMotion
-from phytac_decoder.estimation.estimators import MeasuredColumns
+from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.io.sensor_limits import axial_rotation, symmetric_turns

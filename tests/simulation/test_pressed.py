@@ -11,12 +11,13 @@ from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.pressure import indentation_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
+from phytac_design.simulation import pressed_series
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE, DiscResponse, ImageResponse
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
-from tests.designs import changed, drawn
+from tests.designs import changed, drawn, small
 
 DESIGN = drawn("plane", 3)
 SURFACE = DESIGN.surface()
@@ -99,6 +100,28 @@ def test_a_series_that_holds_is_not_solved() -> None:
     (motions,) = shell.motions(np.array([surface.domain.mean(axis=1)]), RADIUS_mm)
     assert shell.solved == 0
     assert len(motions) == 5
+
+
+def test_the_terms_of_a_wall_that_softens_are_summed(monkeypatch: pytest.MonkeyPatch) -> None:
+    soft = small()
+    surface = soft.surface()
+    markers = make_markers(soft, surface)
+    mesh = marker_mesh(surface, markers, thickness_mm=soft.wall.thickness_mm, refine=3)
+    model = sensor_model(soft, markers, mesh, receptors=True)
+    shell = DiscResponse(soft, surface, markers, mesh=mesh, model=model, orders=3)
+    loads, linear = shell.linear(np.array([surface.domain.mean(axis=1)]), RADIUS_mm)
+    load, first = loads[:, 0], linear[:, 0]
+    true = solve_large(model, shell.forces[-1] * load)[-1].state.motion.ravel()
+    beyond = np.linalg.norm(true - shell.forces[-1] * first)
+
+    def error() -> float:
+        return float(np.linalg.norm(shell._series(load, first)[-1] - true) / beyond)
+
+    summed = error()
+    monkeypatch.setattr(pressed_series, "SUMMED_MAX", 0.0)
+    plain = error()
+    assert summed < 0.05
+    assert plain > 2.0 * summed
 
 
 def test_what_cannot_be_solved_is_left_to_the_series(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,9 +82,9 @@ def predicted_shifts(
         return parts
     cache = cache or InteractionCache(pairs=places.pairs)
     points = np.stack([centre_of(places, state) for state in states])
-    return add_interactions(
-        cache.between(points), np.array([state.x[0] for state in states]), parts
-    )
+    force = np.array([state.x[0] for state in states])
+    softening = places.softening[[state.place for state in states]]
+    return add_interactions(cache.between(points), force, softening, parts)
 
 
 def centre_of(places: ResponseTable, state: ContactState) -> FloatArray:

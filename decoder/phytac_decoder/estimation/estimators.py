@@ -11,6 +11,7 @@ from phytac_decoder.estimation.cascade_network import Base, CascadeNetwork, netw
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.estimation.large_displacements import LargeDisplacements
 from phytac_decoder.estimation.locator import ContactLocator
+from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
@@ -27,22 +28,6 @@ NOISE_LEAST_px = 0.01
 KEPT_RESULTS = 6
 """Latest results that are kept: forces and motion of the cameras in one frame are asked for several
 times, with the shifts as measured and without that motion."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeasuredColumns:
-    """Columns of C that known contacts have measured on one print.
-
-    Attributes
-    ----------
-    marker : (m,) int
-        Markers that were pressed.
-    shift_px : (2n, m) float
-        Pixel shifts of all markers per newton on each, px/N.
-    """
-
-    marker: IntArray
-    shift_px: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +62,7 @@ class ForceModel:
         Modulus over that of the design, as K and C have it. None: networks and columns were learnt
         without large displacements, which are left out.
     measured : MeasuredColumns, optional
-        Columns that stand in place of those of C; ``auto`` has corrections of its own.
+        What known contacts have measured; ``auto`` has corrections of its own.
     footprint_px : (2n, n) float, optional
         C of forces on the switches' footprints in place of the cells; for training, not saved.
     """
@@ -325,6 +310,7 @@ class ForceModel:
             places=locator.places,
             position_mm=locator.position_mm,
             softness=stiffness / self.modulus,
+            measured=self.measured,
         )
 
     def _inverse(

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from phytac_decoder.mechanics.interaction_table import SHARE_MAX, InteractionTable
+from phytac_decoder.estimation.measured_columns import MeasuredColumns
+from phytac_decoder.mechanics.interaction_table import add_interactions, interaction_growth
 from phytac_decoder.mechanics.membrane_stretching import order_factors
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -24,6 +24,8 @@ TOLERANCE = 5e-3
 """Change of the forces, over the largest, at which the iteration ends."""
 TABLES_FACTOR = 2.0
 """Forces above this many times the largest tabulated one have the slope that is there."""
+PAIRS_KEPT = 2000
+"""Latest interactions that are kept: 12 MB for ``cylinder60``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,42 +42,52 @@ class LargeDisplacements:
         Receptors on the outer face.
     softness : float
         Softness of the wall over that of the tables.
+    measured : MeasuredColumns, optional
+        Of a print; its columns are not used here, as they are linear in the forces.
     """
 
     places: ResponseTable
     position_mm: FloatArray
     softness: float = 1.0
-    _own: dict[int, NDArray[np.float32]] = field(default_factory=dict, init=False, repr=False)
-    _pairs: dict[tuple[int, int], NDArray[np.float32]] = field(
-        default_factory=dict, init=False, repr=False
-    )
+    measured: MeasuredColumns | None = None
+    _own: dict[int, FloatArray] = field(default_factory=dict, init=False, repr=False)
+    _pairs: dict[tuple[int, int], FloatArray] = field(default_factory=dict, init=False, repr=False)
 
     def shifts(self, receptors: IntArray, force_N: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return shifts (2n,) px of forces (m,) on receptors, and their slopes (m, 2n) by forces.
 
         Both without what is linear in the forces.
         """
+        if not len(receptors):
+            return np.zeros(self.places.shift_px.shape[2]), np.zeros((0, 0))
         force = self.softness * force_N
         rows = [self._rows(receptor) for receptor in receptors.tolist()]
-        factors = [
-            order_factors(own, f, self.places.top_N)
-            for own, f in zip(rows, force.tolist(), strict=True)
-        ]
-        orders, coordinates = self.places.orders, self.places.shift_px.shape[2]
-        tables = np.array(rows).reshape(len(force), orders, coordinates)
-        powers, grows = np.array(factors).reshape(len(force), 2, orders).transpose(1, 0, 2)
-        first = np.eye(orders)[0]
-        more = force[:, None] * np.einsum("mk,mkn->mn", powers - first, tables)
-        slope = np.einsum("mk,mkn->mn", (1.0 + grows) * powers - first, tables)
-        total = more.sum(axis=0)
-        pairs = self.places.pairs
-        if pairs is not None and len(force) > 1:
-            size = force * np.linalg.norm(tables[:, 0], axis=1)
-            weights = self._interactions(pairs, receptors, force, size)
-            each = np.tensordot(force, weights, axes=1) @ pairs.axes_px
-            total += 0.5 * force @ each
-            slope += each
+        parts = []
+        for own, f in zip(rows, force.tolist(), strict=True):
+            powers, grows = order_factors(own, f, self.places.top_N)
+            parts.append((f * powers @ own, ((1.0 + grows) * powers @ own)[None]))
+        images_px = self._interactions(receptors)
+        if len(images_px):
+            softening = self.places.softening[self.places.nearest(self.position_mm[receptors])]
+            parts = add_interactions(images_px, force, softening, parts)
+        linear = np.stack([own[0] for own in rows])
+        total = np.sum([shift for shift, _ in parts], axis=0) - force @ linear
+        slope = np.concatenate([slope for _, slope in parts]) - linear
         return total, self.softness * slope
+
+    def interactions(self, pair: IntArray, force_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return inputs (s, k) N² under forces (s, n), and shifts (k, 2n) px/N², of pairs (2, k).
+
+        An interaction is the product of both.
+        """
+        one, other = pair
+        nearest = self.places.nearest(self.position_mm)
+        lost = self.softness * force_N * self.places.softening[nearest]
+        growth, _ = interaction_growth(lost[:, one] + lost[:, other])
+        images_px = np.zeros((len(one), self.places.shift_px.shape[2]))
+        for row, both in zip(images_px, pair.T, strict=True):
+            row[:] = self._interactions(both)[0]
+        return force_N[:, one] * force_N[:, other] * growth, self.softness**2 * images_px
 
     def solve(
         self,
@@ -105,32 +117,35 @@ class LargeDisplacements:
                 break
         return force
 
-    def _rows(self, receptor: int) -> NDArray[np.float32]:
+    def _rows(self, receptor: int) -> FloatArray:
         """Return the orders (k, 2n) of the response per newton on a receptor."""
         rows = self._own.get(receptor)
         if rows is None:
             place, weights = self.places.shares(self.position_mm[receptor][None])
             near = self.places.fits[0][place[0]]
             table = self.places.shift_px[near][:, : self.places.orders]
-            rows = np.tensordot(weights[0].astype(np.float32), table, axes=1)
+            rows = np.tensordot(weights[0], table, axes=1)
+            if self.measured:
+                rows[1] += self.measured.squares.get(receptor, 0.0) / self.softness**2
             self._own[receptor] = rows
         return rows
 
-    def _interactions(
-        self, pairs: InteractionTable, receptors: IntArray, force: FloatArray, size: FloatArray
-    ) -> FloatArray:
-        """Return coordinates (m, m, r) of the interaction of each two receptors, 0 of itself."""
-        out = np.zeros((len(force), len(force), len(pairs.axes_px) + 1))
-        ids = receptors.tolist()
+    def _interactions(self, receptors: IntArray) -> FloatArray:
+        """Return the interactions (k, 2n) of each two receptors, as :func:`add_interactions`."""
+        ids, pairs = receptors.tolist(), self.places.pairs
+        out: list[FloatArray] = []
+        if pairs is None or len(ids) < 2:
+            return np.zeros((0, 0))
         for i, one in enumerate(ids):
-            for k, other in enumerate(ids[:i]):
+            for other in ids[:i]:
                 row = self._pairs.get((one, other))
                 if row is None:
-                    row = pairs.coordinates(self.position_mm[[one, other]])[0]
-                    norm = np.linalg.norm(row @ pairs.axes_px)
-                    row = self._pairs[one, other] = np.append(row, norm)
-                out[i, k] = out[k, i] = row
-        much = np.outer(force, force) * out[:, :, -1]
-        least = SHARE_MAX * np.minimum.outer(size, size)
-        share = np.minimum(1.0, least / np.maximum(much, 1e-30))
-        return np.asarray(out[:, :, :-1] * share[:, :, None])
+                    row = pairs.between(self.position_mm[[one, other]])[0].astype(np.float64)
+                    if self.measured:
+                        both = max(one, other), min(one, other)
+                        row += self.measured.pairs.get(both, 0.0) / self.softness**2
+                    if len(self._pairs) >= PAIRS_KEPT:
+                        del self._pairs[next(iter(self._pairs))]
+                    self._pairs[one, other] = row
+                out.append(row)
+        return np.stack(out)

@@ -26,8 +26,9 @@ from phytac_decoder.camera.camera_motion import (
     tabulate_camera_motion,
 )
 from phytac_decoder.estimation.cascade_network import ACTIVATIONS, BASES, INPUTS, CascadeNetwork
-from phytac_decoder.estimation.estimators import ForceModel, MeasuredColumns, TIP_SD_px
+from phytac_decoder.estimation.estimators import ForceModel, TIP_SD_px
 from phytac_decoder.estimation.force_regions import Region, regions_from_table, regions_to_table
+from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.io.bundle_camera import camera_from, camera_table
 from phytac_decoder.io.bundle_check import (
     ARRAYS,
@@ -59,7 +60,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 21), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 22), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -311,6 +312,10 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
     if model.measured is not None:
         arrays["measured_marker"] = model.measured.marker
         arrays["measured_px"] = model.measured.shift_px.astype(np.float32)
+        if model.measured.square_px.size:
+            arrays["measured_square_px"] = model.measured.square_px.astype(np.float32)
+            arrays["measured_pair"] = model.measured.pair
+            arrays["measured_pair_px"] = model.measured.pair_px.astype(np.float32)
     if bundle.shown:
         attributes = ("rest_px", *(f"tips.{attribute}" for attribute in TIPS.values()))
         for name, attribute in zip(SHOWN, attributes, strict=True):
@@ -578,7 +583,15 @@ def _measured(arrays: dict[str, Any]) -> MeasuredColumns | None:
     """Return the measured columns of the compliance, if there are any."""
     if "measured_px" not in arrays:
         return None
-    return MeasuredColumns(marker=arrays["measured_marker"], shift_px=arrays["measured_px"])
+    columns = MeasuredColumns(marker=arrays["measured_marker"], shift_px=arrays["measured_px"])
+    if "measured_square_px" not in arrays:  # Up to schema 1.21, and without large displacements.
+        return columns
+    return replace(
+        columns,
+        square_px=arrays["measured_square_px"],
+        pair=arrays["measured_pair"],
+        pair_px=arrays["measured_pair_px"],
+    )
 
 
 def _network(name: str, table: dict[str, Any], parameters: FloatArray) -> CascadeNetwork:

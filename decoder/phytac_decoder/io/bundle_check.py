@@ -59,11 +59,26 @@ COVERS: dict[str, tuple[int | str, ...]] = {
 }
 """Further arrays of a bundle of a sensor where tips cover k other markers."""
 
+KINDS = {
+    "measured_px": np.float32,
+    "measured_square_px": np.float32,
+    "measured_pair_px": np.float32,
+    "tip_gradual": np.uint8,
+}
+"""Types of arrays that are neither float64 nor ids."""
+
 MEASURED: dict[str, tuple[int | str, ...]] = {
-    "measured_marker": ("m",),
     "measured_px": ("2n", "m"),
+    "measured_marker": ("m",),
 }
 """Further arrays of a bundle that has measured the response to forces on m markers."""
+
+MEASURED_LARGE: dict[str, tuple[int | str, ...]] = {
+    "measured_square_px": ("2n", "m"),
+    "measured_pair": (2, "pairs"),
+    "measured_pair_px": ("2n", "pairs"),
+}
+"""And of one that has measured large displacements."""
 
 
 def check_bundle(
@@ -93,26 +108,24 @@ def check_bundle(
     shapes = {name: shape for name, (_, shape) in ARRAYS.items()}
     shapes |= {f"network.{name}": (parameter_count(),) for name in sorted(networks)}
     shapes |= SHOWN if cameras == 2 else {}
-    shapes |= MARKS if "mark_point_mm" in arrays else {}
-    shapes |= COVERS if "cover_marker" in arrays else {}
     shapes |= {name: shape for name, shape in OPTIONAL.items() if name in arrays}
-    shapes |= MEASURED if "measured_px" in arrays else {}
+    # The first array of each says whether there are any.
+    for group in (MARKS, COVERS, MEASURED, MEASURED_LARGE):
+        shapes |= group if next(iter(group)) in arrays else {}
     shapes |= {"learnt_rest_px": ("prints", "n", 2)} if "learnt_rest_px" in arrays else {}
     ids = {"neighbours": (-1, n), "colour": (0, colours), "read_by": (0, cameras)}
     if "mark_point_mm" in arrays:
         r = len(np.atleast_1d(arrays["mark_point_mm"]))
         ids |= {"mark_neighbours": (-1, r), "mark_colour": ids["colour"]}
         ids |= {"mark_read_by": ids["read_by"]}
-    if "cover_marker" in arrays:
-        ids |= dict.fromkeys(("cover_marker", "cover_tip"), (0, n))
-    if "measured_px" in arrays:
-        ids |= {"measured_marker": (0, n)}
+    markers_named = ("cover_marker", "cover_tip", "measured_marker", "measured_pair")
+    ids |= {name: (0, n) for name in markers_named if name in shapes}
     check_arrays(
         arrays,
         shapes,
         {"n": n, "2n": 2 * n},
         where=where,
-        kinds=dict.fromkeys(ids, np.int64) | {"measured_px": np.float32, "tip_gradual": np.uint8},
+        kinds=dict.fromkeys(ids, np.int64) | KINDS,
         # NaN marks what a camera does not see.
         partial=("tip_on_px", "shown_rest_px", "shown_tip_on_px", "mark_rest_px", "learnt_rest_px"),
     )

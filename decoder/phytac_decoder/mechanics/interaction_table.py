@@ -4,9 +4,17 @@ Koiter's second-order term of several forces contains f²·S₂ of each and a mi
 
     d ⊃ f₁·f₂·M(place₁, place₂)
 
-since the stress and rotation of one contact stiffen or soften the wall for the other. Up to a few
-percent, the images M of all places lie in a space of some dozen dimensions: tabulated are the axes
-of that space, and the coordinates of M over pairs of places.
+since the stress and rotation of one contact stiffen or soften the wall for the other. Two strong
+contacts close to each other bring a curved wall nearer to buckling than either alone, and the
+interaction is larger than of second order by ::
+
+    1 / (1 - a₁·f₁ - a₂·f₂)
+
+with the shares a of the stiffness that a newton takes away at each place
+(:attr:`ResponseTable.softening`). On ``cylinder60`` 25 N on two receptors 7.5 mm apart interact 3.6
+times as much as the second order alone, and 25 N on two that are 10.5 mm apart 2.3 times. Up to a
+few percent, the images M of all places lie in a space of some dozen dimensions: tabulated are the
+axes of that space, and the coordinates of M over pairs of places.
 """
 
 from collections.abc import Sequence
@@ -20,8 +28,10 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray
 
 SHARE_MAX = 0.3
-"""Largest interaction over the shifts of each contact alone: the tables do not hold for contacts
-that nearly coincide."""
+"""Largest interaction of second order over the shifts of each contact alone: the tables do not hold
+for contacts that nearly coincide."""
+STIFFNESS_MIN = 0.25
+"""Share of the stiffness that two contacts leave, at least, in the growth of their interaction."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,19 +110,29 @@ class InteractionCache:
         return self._images
 
 
+def interaction_growth(lost: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return factors on interactions of second order, and the derivatives of their logarithms.
+
+    By the shares of the stiffness that each two contacts take away together.
+    """
+    growth = 1.0 / np.maximum(1.0 - lost, STIFFNESS_MIN)
+    return growth, np.where(1.0 - lost > STIFFNESS_MIN, growth, 0.0)
+
+
 def add_interactions(
-    images: NDArray[np.float32],
+    images: NDArray[np.float32] | FloatArray,
     force_N: FloatArray,
+    softening: FloatArray,
     parts: Sequence[tuple[FloatArray, FloatArray]],
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return shifts and slopes of c contacts with their interactions.
 
     Parameters
     ----------
-    images : (k, 2n) float32
+    images : (k, 2n) float
         M px/N² of each two, see :meth:`InteractionTable.between`.
-    force_N : (c,) float
-        Forces of the contacts.
+    force_N, softening : (c,) float
+        Forces of the contacts, and the share of the stiffness that a newton of each takes away.
     parts : sequence of ((2n,), (u, 2n)) float
         Shifts of each, and their slopes by its unknowns, of which the first is the force; the
         slopes are changed. They leave out the small change of M with the places.
@@ -123,9 +143,13 @@ def add_interactions(
     both = force_N[i] * force_N[k]
     much = both * np.linalg.norm(images, axis=1)
     share = np.minimum(1.0, SHARE_MAX * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300))
+    lost = softening * force_N
+    growth, steepness = interaction_growth(lost[i] + lost[k])
+    share *= growth
     of, pair = np.zeros((2, len(parts), len(images))), np.arange(len(images))
     of[0, i, pair] = of[0, k, pair] = 0.5 * both * share
-    of[1, i, pair], of[1, k, pair] = force_N[k] * share, force_N[i] * share
+    of[1, i, pair] = force_N[k] * share * (1.0 + lost[i] * steepness)
+    of[1, k, pair] = force_N[i] * share * (1.0 + lost[k] * steepness)
     more = (of.astype(np.float32).reshape(-1, len(images)) @ images).reshape(2, len(parts), -1)
     out = []
     for (total, slope), add, grows in zip(parts, *more, strict=True):

@@ -91,7 +91,7 @@ def lost_softness(slopes: FloatArray, most: float) -> tuple[float, float]:
 
 
 def order_factors(
-    rows: NDArray[np.float32], force_N: float, top_N: float
+    rows: NDArray[np.float32] | FloatArray, force_N: float, top_N: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return factors (k,) of the orders of the response per newton at a force, and their growth.
 
@@ -100,7 +100,7 @@ def order_factors(
 
     Parameters
     ----------
-    rows : (k, 2n) float32
+    rows : (k, 2n) float
         Orders of the response.
     force_N, top_N : float
         The force, and the largest tabulated force.

@@ -37,6 +37,9 @@ FIT_PLACES = 20
 END_GAP_rad, END_PLACES = 2.6, 3
 """Angle without a neighbour from which a place is at the end of the surface (150°, and 180° at a
 straight end); number of such places that the distance of a point to the end is measured from."""
+SOFTENING_GROWTH_MAX = 1.5
+"""Largest growth of the shifts beyond linear ones, over f², from half the largest force to all of
+it: half of the stiffness is then gone."""
 FLAT_COSINE_DROP, FLATNESS_NEIGHBOURS = 1e-4, 8
 """Largest 1 - cos of the angle between normals on a flat wall (0.8°); number of places whose
 normals are compared."""
@@ -81,6 +84,23 @@ class ResponseTable:
     def orders(self) -> int:
         """Powers of the force in the tables."""
         return int(self.shift_px.shape[1]) - (self.walls.orders if self.walls else 0)
+
+    @cached_property
+    def softening(self) -> FloatArray:
+        """Share (p,) of the stiffness that each newton on a place takes away, 1/N; at least 0.
+
+        The shifts beyond linear ones are as f² / (1 - a·f): a follows from half the largest
+        tabulated force and all of it.
+        """
+        out = np.zeros(len(self.point_mm))
+        if self.orders < 3:
+            return out
+        powers = (self.top_N * np.array([[0.5], [1.0]])) ** np.arange(self.orders - 1)
+        rows = self.shift_px[:, 1 : self.orders]
+        half, top = np.einsum("tk,pkn->tpn", powers.astype(np.float32), rows)
+        growth = np.einsum("pn,pn->p", half, top) / np.einsum("pn,pn->p", half, half)
+        growth = np.clip(growth, 1.0, SOFTENING_GROWTH_MAX)
+        return np.asarray((growth - 1.0) / (growth - 0.5) / self.top_N)
 
     @cached_property
     def spacing_mm(self) -> float:
