@@ -210,6 +210,7 @@ def test_softening_is_that_of_the_shifts(softening: float) -> None:
 def test_walls_that_stiffen_or_have_two_powers_do_not_soften() -> None:
     assert not softer(-0.01).softening.any()
     assert not aware(flat_locator()).places.softening.any()
+    assert not flat_locator().linear.places.softening.any()
     # At half of the stiffness that is lost the tables end.
     assert softer(0.035).softening.max() == pytest.approx(0.5 / 25.0)
 
