@@ -7,6 +7,7 @@ other: at 25 N on ``cylinder60``, by a tenth. The tables of ``auto`` hold both.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -68,8 +69,7 @@ class LargeDisplacements:
             parts.append((f * powers @ own, ((1.0 + grows) * powers @ own)[None]))
         images_px = self._interactions(receptors)
         if len(images_px):
-            softening = self.places.softening[self.places.nearest(self.position_mm[receptors])]
-            parts = add_interactions(images_px, force, softening, parts)
+            parts = add_interactions(images_px, force, self._softening[receptors], parts)
         linear = np.stack([own[0] for own in rows])
         total = np.sum([shift for shift, _ in parts], axis=0) - force @ linear
         slope = np.concatenate([slope for _, slope in parts]) - linear
@@ -81,8 +81,7 @@ class LargeDisplacements:
         An interaction is the product of both.
         """
         one, other = pair
-        nearest = self.places.nearest(self.position_mm)
-        lost = self.softness * force_N * self.places.softening[nearest]
+        lost = self.softness * force_N * self._softening
         growth, _ = interaction_growth(lost[:, one] + lost[:, other])
         images_px = np.zeros((len(one), self.places.shift_px.shape[2]))
         for row, both in zip(images_px, pair.T, strict=True):
@@ -116,6 +115,11 @@ class LargeDisplacements:
             if change <= TOLERANCE * max(float(force.max()), 1.0):
                 break
         return force
+
+    @cached_property
+    def _softening(self) -> FloatArray:
+        """Share (n,) of the stiffness that a newton on each receptor takes away, 1/N."""
+        return self.places.softening[self.places.nearest(self.position_mm)]
 
     def _rows(self, receptor: int) -> FloatArray:
         """Return the orders (k, 2n) of the response per newton on a receptor."""
