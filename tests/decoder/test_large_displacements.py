@@ -123,6 +123,16 @@ def test_they_are_those_of_auto_where_the_wall_softens() -> None:
     np.testing.assert_allclose(own.shifts(ids, force)[0], wanted, atol=4e-3 * np.abs(wanted).max())
 
 
+def test_interactions_are_what_two_do_beyond_each_alone() -> None:
+    own = LargeDisplacements(places=softer(0.012), position_mm=MARKERS, softness=1.2)
+    ids, force = np.array([33, 57]), np.zeros(N)
+    force[ids] = 17.0, 12.0
+    inputs, images_px = own.interactions(ids[::-1, None], force[None])
+    alone = [own.shifts(ids[k : k + 1], force[ids[k : k + 1]])[0] for k in (0, 1)]
+    wanted = own.shifts(ids, force[ids])[0] - alone[0] - alone[1]
+    np.testing.assert_allclose(inputs @ images_px, wanted[None], atol=1e-4 * np.abs(wanted).max())
+
+
 def test_forces_beyond_the_tables_are_finite_and_grow() -> None:
     places = replace(aware(flat_locator()).places, top_N=10.0)
     own = LargeDisplacements(places=places, position_mm=MARKERS)
