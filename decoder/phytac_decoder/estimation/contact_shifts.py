@@ -83,8 +83,9 @@ def predicted_shifts(
     cache = cache or InteractionCache(pairs=places.pairs)
     points = np.stack([centre_of(places, state) for state in states])
     force = np.array([state.x[0] for state in states])
-    softening = places.softening[[state.place for state in states]]
-    return add_interactions(cache.between(points), force, softening, parts)
+    own = [state.place for state in states]
+    softening, own_px = places.softening[own], places.own_interaction_px[own]
+    return add_interactions(cache.between(points), force, softening, own_px, parts)
 
 
 def centre_of(places: ResponseTable, state: ContactState) -> FloatArray:

@@ -12,7 +12,11 @@ from functools import cached_property
 import numpy as np
 
 from phytac_decoder.estimation.measured_columns import MeasuredColumns
-from phytac_decoder.mechanics.interaction_table import add_interactions, interaction_growth
+from phytac_decoder.mechanics.interaction_table import (
+    add_interactions,
+    interaction_coupling,
+    interaction_growth,
+)
 from phytac_decoder.mechanics.membrane_stretching import order_factors
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -69,7 +73,8 @@ class LargeDisplacements:
             parts.append((f * powers @ own, ((1.0 + grows) * powers @ own)[None]))
         images_px = self._interactions(receptors)
         if len(images_px):
-            parts = add_interactions(images_px, force, self._softening[receptors], parts)
+            softening, own_px = self._softening[:, receptors]
+            parts = add_interactions(images_px, force, softening, own_px, parts)
         linear = np.stack([own[0] for own in rows])
         total = np.sum([shift for shift, _ in parts], axis=0) - force @ linear
         slope = np.concatenate([slope for _, slope in parts]) - linear
@@ -81,11 +86,14 @@ class LargeDisplacements:
         An interaction is the product of both.
         """
         one, other = pair
-        lost = self.softness * force_N * self._softening
-        growth, _ = interaction_growth(lost[:, one] + lost[:, other])
+        softening, own_px = self._softening
         images_px = np.zeros((len(one), self.places.shift_px.shape[2]))
         for row, both in zip(images_px, pair.T, strict=True):
             row[:] = self._interactions(both)[0]
+        size = np.linalg.norm(images_px, axis=1)
+        lost = self.softness * force_N * softening
+        coupling = interaction_coupling(size, own_px[one], own_px[other])
+        growth, _ = interaction_growth(coupling * (lost[:, one] + lost[:, other]))
         return force_N[:, one] * force_N[:, other] * growth, self.softness**2 * images_px
 
     def solve(
@@ -118,8 +126,9 @@ class LargeDisplacements:
 
     @cached_property
     def _softening(self) -> FloatArray:
-        """Share (n,) of the stiffness that a newton on each receptor takes away, 1/N."""
-        return self.places.softening[self.places.nearest(self.position_mm)]
+        """``softening`` and ``own_interaction_px`` of the tables at receptors, (2, n)."""
+        nearest = self.places.nearest(self.position_mm)
+        return np.stack([self.places.softening, self.places.own_interaction_px])[:, nearest]
 
     def _rows(self, receptor: int) -> FloatArray:
         """Return the orders (k, 2n) of the response per newton on a receptor."""

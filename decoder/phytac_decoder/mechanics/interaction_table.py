@@ -8,11 +8,12 @@ since the stress and rotation of one contact stiffen or soften the wall for the 
 contacts close to each other bring a curved wall nearer to buckling than either alone, and the
 interaction is larger than of second order by ::
 
-    1 / (1 - a₁·f₁ - a₂·f₂)
+    1 / (1 - (0.4 + 0.9·ρ)·(a₁·f₁ + a₂·f₂))
 
 with the shares a of the stiffness that a newton takes away at each place
-(:attr:`ResponseTable.softening`). On ``cylinder60`` 25 N on two receptors 7.5 mm apart interact 3.6
-times as much as the second order alone, and 25 N on two that are 10.5 mm apart 2.3 times. Up to a
+(:attr:`ResponseTable.softening`), and ρ the size of M over the geometric mean of those at each
+place. The two numbers are chosen by solutions with large displacements on ``cylinder60``: 25 N on
+each of two discs, 8 to 45 mm apart, interact 1.4 to 4.3 times as much as of second order. Up to a
 few percent, the images M of all places lie in a space of some dozen dimensions: tabulated are the
 axes of that space, and the coordinates of M over pairs of places.
 """
@@ -30,7 +31,10 @@ from phytac_shapes.arrays import FloatArray
 SHARE_MAX = 0.3
 """Largest interaction of second order over the shifts of each contact alone: the tables do not hold
 for contacts that nearly coincide."""
-STIFFNESS_MIN = 0.25
+COUPLING = (0.4, 0.9)
+"""What softening counts for an interaction: where two contacts hardly interact, and what is added
+times ρ."""
+STIFFNESS_MIN = 0.2
 """Share of the stiffness that two contacts leave, at least, in the growth of their interaction."""
 
 
@@ -110,6 +114,17 @@ class InteractionCache:
         return self._images
 
 
+def interaction_coupling(
+    images_px: FloatArray, one_px: FloatArray, other_px: FloatArray
+) -> FloatArray:
+    """Return what the softening by two contacts counts for their interaction (k,).
+
+    By the size of that, and of those of two contacts on either place, px/N².
+    """
+    alike = images_px / np.maximum(np.sqrt(one_px * other_px), 1e-300)
+    return np.asarray(COUPLING[0] + COUPLING[1] * np.minimum(alike, 1.0))
+
+
 def interaction_growth(lost: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return factors on interactions of second order, and the derivatives of their logarithms.
 
@@ -123,6 +138,7 @@ def add_interactions(
     images: NDArray[np.float32] | FloatArray,
     force_N: FloatArray,
     softening: FloatArray,
+    own_px: FloatArray,
     parts: Sequence[tuple[FloatArray, FloatArray]],
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return shifts and slopes of c contacts with their interactions.
@@ -131,8 +147,9 @@ def add_interactions(
     ----------
     images : (k, 2n) float
         M px/N² of each two, see :meth:`InteractionTable.between`.
-    force_N, softening : (c,) float
-        Forces of the contacts, and the share of the stiffness that a newton of each takes away.
+    force_N, softening, own_px : (c,) float
+        Forces of the contacts; the share of the stiffness that a newton of each takes away; size of
+        the interaction of two on its place, px/N².
     parts : sequence of ((2n,), (u, 2n)) float
         Shifts of each, and their slopes by its unknowns, of which the first is the force; the
         slopes are changed. They leave out the small change of M with the places.
@@ -141,10 +158,13 @@ def add_interactions(
     # Strictly below the diagonal, row by row, as the images.
     i, k = np.array(_each_two(len(parts))).T
     both = force_N[i] * force_N[k]
-    much = both * np.linalg.norm(images, axis=1)
+    images_px = np.linalg.norm(images, axis=1)
+    much = both * images_px
     share = np.minimum(1.0, SHARE_MAX * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300))
     lost = softening * force_N
-    growth, steepness = interaction_growth(lost[i] + lost[k])
+    coupling = interaction_coupling(images_px, own_px[i], own_px[k])
+    growth, steepness = interaction_growth(coupling * (lost[i] + lost[k]))
+    steepness = coupling * steepness
     share *= growth
     of, pair = np.zeros((2, len(parts), len(images))), np.arange(len(images))
     of[0, i, pair] = of[0, k, pair] = 0.5 * both * share
