@@ -6,7 +6,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.mechanics.interaction_table import InteractionCache, add_interactions
+from phytac_decoder.mechanics.interaction_table import (
+    InteractionCache,
+    add_interactions,
+    interaction_coupling,
+)
 from phytac_decoder.mechanics.membrane_stretching import lost_softness, order_factors
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -84,8 +88,9 @@ def predicted_shifts(
     points = np.stack([centre_of(places, state) for state in states])
     force = np.array([state.x[0] for state in states])
     own = [state.place for state in states]
-    softening, own_px = places.softening[own], places.own_interaction_px[own]
-    return add_interactions(cache.between(points), force, softening, own_px, parts)
+    images = cache.between(points)
+    coupling = interaction_coupling(images, places.own_interaction_px[own])
+    return add_interactions(images, coupling, force, places.softening[own], parts)
 
 
 def centre_of(places: ResponseTable, state: ContactState) -> FloatArray:

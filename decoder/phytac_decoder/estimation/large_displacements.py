@@ -13,6 +13,7 @@ import numpy as np
 
 from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.mechanics.interaction_table import (
+    InteractionTable,
     add_interactions,
     interaction_coupling,
     interaction_growth,
@@ -56,7 +57,9 @@ class LargeDisplacements:
     softness: float = 1.0
     measured: MeasuredColumns | None = None
     _own: dict[int, FloatArray] = field(default_factory=dict, init=False, repr=False)
-    _pairs: dict[tuple[int, int], FloatArray] = field(default_factory=dict, init=False, repr=False)
+    _pairs: dict[tuple[int, int], tuple[FloatArray, float]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def shifts(self, receptors: IntArray, force_N: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return shifts (2n,) px of forces (m,) on receptors, and their slopes (m, 2n) by forces.
@@ -71,10 +74,11 @@ class LargeDisplacements:
         for own, f in zip(rows, force.tolist(), strict=True):
             powers, grows = order_factors(own, f, self.places.top_N)
             parts.append((f * powers @ own, ((1.0 + grows) * powers @ own)[None]))
-        images_px = self._interactions(receptors)
-        if len(images_px):
-            softening, own_px = self._softening[:, receptors]
-            parts = add_interactions(images_px, force, softening, own_px, parts)
+        pairs = self.places.pairs
+        if pairs is not None and len(receptors) > 1:
+            images, coupling = self._interactions(pairs, receptors)
+            softening = self.places.softening[self._nearest[receptors]]
+            parts = add_interactions(images, coupling, force, softening, parts)
         linear = np.stack([own[0] for own in rows])
         total = np.sum([shift for shift, _ in parts], axis=0) - force @ linear
         slope = np.concatenate([slope for _, slope in parts]) - linear
@@ -86,13 +90,12 @@ class LargeDisplacements:
         An interaction is the product of both.
         """
         one, other = pair
-        softening, own_px = self._softening
         images_px = np.zeros((len(one), self.places.shift_px.shape[2]))
-        for row, both in zip(images_px, pair.T, strict=True):
-            row[:] = self._interactions(both)[0]
-        size = np.linalg.norm(images_px, axis=1)
-        lost = self.softness * force_N * softening
-        coupling = interaction_coupling(size, own_px[one], own_px[other])
+        coupling = np.zeros(len(one))
+        if self.places.pairs is not None:
+            for k, both in enumerate(pair.T.tolist()):
+                images_px[k], coupling[k] = self._interaction(self.places.pairs, *both)
+        lost = self.softness * force_N * self.places.softening[self._nearest]
         growth, _ = interaction_growth(coupling * (lost[:, one] + lost[:, other]))
         return force_N[:, one] * force_N[:, other] * growth, self.softness**2 * images_px
 
@@ -125,10 +128,9 @@ class LargeDisplacements:
         return force
 
     @cached_property
-    def _softening(self) -> FloatArray:
-        """``softening`` and ``own_interaction_px`` of the tables at receptors, (2, n)."""
-        nearest = self.places.nearest(self.position_mm)
-        return np.stack([self.places.softening, self.places.own_interaction_px])[:, nearest]
+    def _nearest(self) -> IntArray:
+        """Place (n,) nearest to each receptor."""
+        return self.places.nearest(self.position_mm)
 
     def _rows(self, receptor: int) -> FloatArray:
         """Return the orders (k, 2n) of the response per newton on a receptor."""
@@ -143,22 +145,30 @@ class LargeDisplacements:
             self._own[receptor] = rows
         return rows
 
-    def _interactions(self, receptors: IntArray) -> FloatArray:
-        """Return the interactions (k, 2n) of each two receptors, as :func:`add_interactions`."""
-        ids, pairs = receptors.tolist(), self.places.pairs
-        out: list[FloatArray] = []
-        if pairs is None or len(ids) < 2:
-            return np.zeros((0, 0))
-        for i, one in enumerate(ids):
-            for other in ids[:i]:
-                row = self._pairs.get((one, other))
-                if row is None:
-                    row = pairs.between(self.position_mm[[one, other]])[0].astype(np.float64)
-                    if self.measured:
-                        both = max(one, other), min(one, other)
-                        row += self.measured.pairs.get(both, 0.0) / self.softness**2
-                    if len(self._pairs) >= PAIRS_KEPT:
-                        del self._pairs[next(iter(self._pairs))]
-                    self._pairs[one, other] = row
-                out.append(row)
-        return np.stack(out)
+    def _interactions(
+        self, pairs: InteractionTable, receptors: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return images (k, 2n) and coupling (k,) of each two, as :func:`add_interactions`."""
+        ids = receptors.tolist()
+        two = [(one, other) for i, one in enumerate(ids) for other in ids[:i]]
+        found = [self._interaction(pairs, one, other) for one, other in two]
+        return np.stack([row for row, _ in found]), np.array([coupling for _, coupling in found])
+
+    def _interaction(
+        self, pairs: InteractionTable, one: int, other: int
+    ) -> tuple[FloatArray, float]:
+        """Return image (2n,) and coupling of two receptors."""
+        known = self._pairs.get((one, other))
+        if known is None:
+            both = [one, other]
+            (row,) = pairs.between(self.position_mm[both])
+            own_px = self.places.own_interaction_px[self._nearest[both]]
+            (coupling,) = interaction_coupling(row[None], own_px)
+            row = row.astype(np.float64)
+            if self.measured:
+                more = self.measured.pairs.get((max(both), min(both)), 0.0)
+                row += more / self.softness**2
+            if len(self._pairs) >= PAIRS_KEPT:
+                del self._pairs[next(iter(self._pairs))]
+            known = self._pairs[one, other] = row, float(coupling)
+        return known

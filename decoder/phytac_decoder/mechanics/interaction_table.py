@@ -115,13 +115,20 @@ class InteractionCache:
 
 
 def interaction_coupling(
-    images_px: FloatArray, one_px: FloatArray, other_px: FloatArray
+    images: NDArray[np.float32] | FloatArray, own_px: FloatArray
 ) -> FloatArray:
-    """Return what the softening by two contacts counts for their interaction (k,).
+    """Return what softening counts for the interaction (k,) of each two contacts.
 
-    By the size of that, and of those of two contacts on either place, px/N².
+    Parameters
+    ----------
+    images : (k, 2n) float
+        M px/N² of each two, by the tables.
+    own_px : (c,) float
+        Size of the interaction of two contacts on the place of each, px/N².
     """
-    alike = images_px / np.maximum(np.sqrt(one_px * other_px), 1e-300)
+    i, k = np.array(_each_two(len(own_px))).T
+    size = np.linalg.norm(images, axis=1)
+    alike = size / np.maximum(np.sqrt(own_px[i] * own_px[k]), 1e-300)
     return np.asarray(COUPLING[0] + COUPLING[1] * np.minimum(alike, 1.0))
 
 
@@ -136,9 +143,9 @@ def interaction_growth(lost: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def add_interactions(
     images: NDArray[np.float32] | FloatArray,
+    coupling: FloatArray,
     force_N: FloatArray,
     softening: FloatArray,
-    own_px: FloatArray,
     parts: Sequence[tuple[FloatArray, FloatArray]],
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return shifts and slopes of c contacts with their interactions.
@@ -147,9 +154,10 @@ def add_interactions(
     ----------
     images : (k, 2n) float
         M px/N² of each two, see :meth:`InteractionTable.between`.
-    force_N, softening, own_px : (c,) float
-        Forces of the contacts; the share of the stiffness that a newton of each takes away; size of
-        the interaction of two on its place, px/N².
+    coupling : (k,) float
+        See :func:`interaction_coupling`.
+    force_N, softening : (c,) float
+        Forces of the contacts, and the share of the stiffness that a newton of each takes away.
     parts : sequence of ((2n,), (u, 2n)) float
         Shifts of each, and their slopes by its unknowns, of which the first is the force; the
         slopes are changed. They leave out the small change of M with the places.
@@ -158,11 +166,9 @@ def add_interactions(
     # Strictly below the diagonal, row by row, as the images.
     i, k = np.array(_each_two(len(parts))).T
     both = force_N[i] * force_N[k]
-    images_px = np.linalg.norm(images, axis=1)
-    much = both * images_px
+    much = both * np.linalg.norm(images, axis=1)
     share = np.minimum(1.0, SHARE_MAX * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300))
     lost = softening * force_N
-    coupling = interaction_coupling(images_px, own_px[i], own_px[k])
     growth, steepness = interaction_growth(coupling * (lost[i] + lost[k]))
     steepness = coupling * steepness
     share *= growth
