@@ -106,15 +106,22 @@ class Patch(Surface):
 
     def normal(self, uv: FloatArray) -> FloatArray:
         """Outward unit normals, (n, 3)."""
-        _, along, around = self._derivatives(uv, 1)
+        return self._point_and_normal(uv)[1]
+
+    def _point_and_normal(self, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points of the outer face and outward unit normals, (n, 3) each."""
+        point, along, around = self._derivatives(uv, 1)
         out = np.cross(around, along)
-        return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+        return point, np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
     def point(self, uv: FloatArray, offset_mm: FloatArray | float = 0.0) -> FloatArray:
         """Points of the offset face, (n, 3) mm."""
         uv = np.asarray(uv, dtype=np.float64)
+        if np.ndim(offset_mm) == 0 and offset_mm == 0.0:
+            return self._derivatives(uv, 0)[0]
         offset = np.broadcast_to(np.asarray(offset_mm, dtype=np.float64), uv.shape[:1])[:, None]
-        return np.asarray(self._derivatives(uv, 0)[0] + offset * self.normal(uv))
+        point, normal = self._point_and_normal(uv)
+        return np.asarray(point + offset * normal)
 
     def tangents(self, uv: FloatArray) -> FloatArray:
         """d/du and d/dv, (n, 2, 3)."""

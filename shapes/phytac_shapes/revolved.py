@@ -50,17 +50,22 @@ class Revolved(Surface):
 
     def radius(self, u: FloatArray) -> FloatArray:
         """Distance of the outer face from the axis, (n,) mm; exactly 0 at a pole."""
-        return self._profile_and_normal(np.asarray(u, dtype=np.float64))[0][:, 0]
+        return self._radius(self.curve(np.asarray(u, dtype=np.float64))[0])
+
+    def _radius(self, rz: FloatArray) -> FloatArray:
+        """R (n,) of points (r, z) of the profile (n, 2), exactly 0 at a pole."""
+        pole_tol = 1e-12  # radius, as a fraction of the sensor's length, that counts as the axis
+        low, high = self.span()
+        radius = rz[:, 0]
+        return np.where(np.abs(radius) <= pole_tol * (high - low), 0.0, radius)
 
     def _profile_and_normal(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(r, z), with r exactly 0 at a pole, and the outward normal in that plane, (n, 2) each."""
-        pole_tol = 1e-12  # radius, as a fraction of the sensor's length, that counts as the axis
         rz, slope, _ = self.curve(u)
-        low, high = self.span()
-        radius = np.where(np.abs(rz[:, 0]) <= pole_tol * (high - low), 0.0, rz[:, 0])
-        out = np.column_stack([slope[:, 1], -slope[:, 0]])
-        out = out / np.linalg.norm(out, axis=1, keepdims=True)
-        return np.column_stack([radius, rz[:, 1]]), out
+        across, along = slope[:, 1], -slope[:, 0]
+        size = np.sqrt(across * across + along * along)
+        out = np.stack([across / size, along / size], axis=1)
+        return np.stack([self._radius(rz), rz[:, 1]], axis=1), out
 
     def normal(self, uv: FloatArray) -> FloatArray:
         """Outward unit normals, (n, 3)."""
@@ -70,6 +75,9 @@ class Revolved(Surface):
     def point(self, uv: FloatArray, offset_mm: FloatArray | float = 0.0) -> FloatArray:
         """Points of the offset face, (n, 3) mm."""
         uv = np.asarray(uv, dtype=np.float64)
+        if np.ndim(offset_mm) == 0 and offset_mm == 0.0:
+            rz = self.curve(uv[:, 0])[0]
+            return _turned(np.stack([self._radius(rz), rz[:, 1]], axis=1), uv[:, 1])
         offset = np.broadcast_to(np.asarray(offset_mm, dtype=np.float64), uv.shape[:1])
         rz, out = self._profile_and_normal(uv[:, 0])
         return _turned(rz + offset[:, None] * out, uv[:, 1])
@@ -77,9 +85,11 @@ class Revolved(Surface):
     def tangents(self, uv: FloatArray) -> FloatArray:
         """d/du and d/dv of the outer face, (n, 2, 3); d/dv is zero at a pole."""
         uv = np.asarray(uv, dtype=np.float64)
-        around = np.column_stack([-np.sin(uv[:, 1]), np.cos(uv[:, 1]), np.zeros(len(uv))])
-        along = _turned(self.curve(uv[:, 0])[1], uv[:, 1])
-        return np.stack([along, self.radius(uv[:, 0])[:, None] * around], axis=1)
+        rz, slope, _ = self.curve(uv[:, 0])
+        c, s, radius = np.cos(uv[:, 1]), np.sin(uv[:, 1]), self._radius(rz)
+        along = [slope[:, 0] * c, slope[:, 0] * s, slope[:, 1]]
+        flat = np.stack([*along, radius * -s, radius * c, np.zeros(len(uv))], axis=1)
+        return flat.reshape(-1, 2, 3)
 
     def chart(self, points_mm: FloatArray) -> FloatArray:
         """(u, angle in [0, 2π)) of each point, (n, 2)."""
@@ -192,4 +202,4 @@ def _swept(part: Line | Arc, offset: float) -> float:
 
 def _turned(rz: FloatArray, angle: FloatArray) -> FloatArray:
     """Vectors (n, 3) of (r, z) components (n, 2) at angles (n,)."""
-    return np.column_stack([rz[:, 0] * np.cos(angle), rz[:, 0] * np.sin(angle), rz[:, 1]])
+    return np.stack([rz[:, 0] * np.cos(angle), rz[:, 0] * np.sin(angle), rz[:, 1]], axis=1)
