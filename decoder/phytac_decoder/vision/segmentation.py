@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
@@ -77,12 +77,7 @@ class ColourModel:
         Of dots that differ from the wall by brightness (``DOTS``) it holds the contrast to the
         ``wall``; a rest frame shows from which share on their edges count.
         """
-        dots = [rgb for name, rgb in paints.items() if name in DOTS]
-        dot = (0, 0, int(np.abs(np.subtract(dots, wall)).mean())) if dots else (0, 0, 0)
-        rgb = np.array([[dot if k in DOTS else v for k, v in paints.items()]], dtype=np.uint8)
-        ycc = cv2.cvtColor(rgb, cv2.COLOR_RGB2YCrCb)[0].astype(np.float64)
-        edge = cls.floor if set(DOTS) & set(paints) else cls.edge
-        return cls(names=tuple(paints), chroma=ycc[:, 1:] - 128.0, edge=edge)
+        return _model_of_rgb(tuple((name, tuple(rgb)) for name, rgb in paints.items()), tuple(wall))
 
     def light(self, blobs: "Blobs", camera: int = 0) -> float:
         """Chroma of the markers' paints in an image over that in the rest frame; 1 if unknown.
@@ -164,6 +159,25 @@ class ColourModel:
     def coverage(self, flat: NDArray[np.uint16], colour: int) -> FloatArray:
         """Weight of pixels by a paint."""
         return np.asarray(self._tables[1][flat, colour])
+
+
+# A model's tables take longer than to segment a small frame by them.
+@lru_cache(maxsize=4)
+def _model_of_rgb(
+    paints: tuple[tuple[str, tuple[int, ...]], ...], wall: tuple[int, ...]
+) -> ColourModel:
+    """The same model for the same paints, see ``ColourModel.from_rgb``."""
+    dots = [rgb for name, rgb in paints if name in DOTS]
+    dot = (0, 0, int(np.abs(np.subtract(dots, wall)).mean())) if dots else (0, 0, 0)
+    rgb = np.array([[dot if name in DOTS else rgb for name, rgb in paints]], dtype=np.uint8)
+    ycc = cv2.cvtColor(rgb, cv2.COLOR_RGB2YCrCb)[0].astype(np.float64)
+    chroma = ycc[:, 1:] - 128.0
+    chroma.flags.writeable = False
+    return ColourModel(
+        names=tuple(name for name, _ in paints),
+        chroma=chroma,
+        edge=ColourModel.floor if dots else ColourModel.edge,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
