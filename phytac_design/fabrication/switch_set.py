@@ -7,6 +7,7 @@ bowl above it and the stem below, down to the tip.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -194,6 +195,7 @@ def arrange_switches(
     )
 
 
+@lru_cache(maxsize=256)
 def switch_profile(
     bowl: Bowl, reach: float, tip_diameter_mm: float, *, tolerance_mm: float = 0.01
 ) -> FloatArray:
@@ -213,7 +215,9 @@ def switch_profile(
     pieces.append(_thinned(bent[corner + 1 :], 0.3 * tolerance_mm))
     pieces.insert(0, np.array([[0.0, over[0, 1]]]))
     tip = [[0.5 * tip_diameter_mm, -reach], [0.0, -reach]]
-    return np.concatenate([*pieces, np.array(tip)])
+    profile = np.concatenate([*pieces, np.array(tip)])
+    profile.flags.writeable = False
+    return profile
 
 
 def cup_profile(outline: CupOutline, reach: float, tip_diameter_mm: float) -> FloatArray:
