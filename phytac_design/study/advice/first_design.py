@@ -105,7 +105,9 @@ def first_design(
                 hidden = None if any_shell else _known_hidden(design)
                 if hidden is None or hidden.mean() <= HIDDEN_MAX:
                     own = _with_shell(design, materials, any_shell=any_shell)
-                    hidden = _hidden(own)
+                    # Of a shell a camera sees the wall, whatever that is made of.
+                    if hidden is None or own.wall != design.wall:
+                        hidden = _hidden(own)
             except PhytacError as error:
                 least = str(error)
                 without_shell.append(design)
