@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from phytac_design.study.search.design_space import Axis, DesignSpace, Params
 from phytac_design.study.search.measures import best_proxy
@@ -26,6 +25,8 @@ Row = Mapping[str, Any]
 
 def sobol(dimensions: int, seed: int, first: int, count: int) -> FloatArray:
     """Points (count, d) of a scrambled Sobol sequence, from number ``first`` on."""
+    from scipy.stats import qmc
+
     sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
     if first:
         sequence.fast_forward(first)
@@ -63,6 +64,8 @@ class Sweep:
         if study.sampling.sweep == "sobol":
             shares = sobol(len(axes), study.seed, first, count)
         else:
+            from scipy.stats import qmc
+
             cube = qmc.LatinHypercube(len(axes), rng=np.random.default_rng(study.seed))
             shares = cube.random(self.total)[first : first + count]
         return [self.space.params(share) for share in shares]

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from phytac_design.core.json_values import finite
 from phytac_design.study.search.measures import MEASURES, measures_up_to
@@ -99,6 +98,8 @@ def agreement(results: Results) -> list[dict[str, Any]]:
 
     Over the candidates that have both, also those that missed a constraint.
     """
+    from scipy.stats import spearmanr
+
     out = []
     for name in measures_up_to(results.study.levels):
         earlier = MEASURES[name].proxy
