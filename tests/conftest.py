@@ -2,10 +2,13 @@
 
 import fcntl
 import gc
+import importlib.util
 import os
 import signal
 import sys
 from hashlib import sha256
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,12 +21,33 @@ if "numpy" in sys.modules and "OPENBLAS_NUM_THREADS" not in os.environ:
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Two processes of tests use both cores; more threads only cost their start.
 os.environ.setdefault("PHYTAC_THREADS", "1")
+# glibc gives the memory of every larger array back and asks for it again: 3 % of the time of tests.
+# It reads this when a process starts: as those of pytest-xdist and of tests do.
+for name, mebibytes in (("TRIM_THRESHOLD_", 128), ("MMAP_THRESHOLD_", 32), ("TOP_PAD_", 16)):
+    os.environ.setdefault(f"MALLOC_{name}", str(mebibytes << 20))
+
+
+def _own_turn() -> int | None:
+    """Wait, in a new environment, until no other process imports what tests import.
+
+    Python compiles a library at its first import: at the same time, each process would do so.
+    Returned is the file to close when this one is done.
+    """
+    found = importlib.util.find_spec("cadquery")
+    if found is None or found.origin is None or "PYTEST_XDIST_WORKER" not in os.environ:
+        return None
+    if sys.dont_write_bytecode or Path(importlib.util.cache_from_source(found.origin)).exists():
+        return None
+    turn = os.open(__file__, os.O_RDONLY)
+    fcntl.flock(turn, fcntl.LOCK_EX)
+    return turn
+
+
+TURN = _own_turn()
 # While tests are collected, whatever is imported stays: see ``pytest_runtestloop``.
 gc.disable()
 
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
@@ -108,6 +132,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if item.nodeid.startswith(NEEDS_CAD):
             item.add_marker(reason)
+
+
+def pytest_collection_finish() -> None:
+    """Let the next process collect."""
+    if TURN is not None:
+        os.close(TURN)
 
 
 @pytest.hookimpl(tryfirst=True)
