@@ -122,6 +122,7 @@ def test_schema_is_json() -> None:
     assert "wall" in schema["properties"]
 
 
+@pytest.mark.usefixtures("coarse_switches")
 def test_new_then_check(tmp_path: Path) -> None:
     made = phytac("new", "mine", "--from", "cylinder60", cwd=tmp_path)
     assert made.returncode == 0

@@ -1,6 +1,7 @@
 """The project's own frames against OpenGL's picture, by the decoder's detector."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from typer.testing import CliRunner
 
 from phytac_decoder.camera.camera import Camera
 from phytac_design.cli.app import app
+from phytac_design.design.design_file import to_toml
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.opengl_picture import render_picture
 from phytac_design.optics.render_scene import RenderScene
@@ -58,8 +60,12 @@ def test_a_picture_of_another_scene_is_not_the_same(
     assert not found.same
 
 
-def test_check_reports_it_and_warns(sensor: Sensor, monkeypatch: pytest.MonkeyPatch) -> None:
-    words = ["check", "cylinder40", "--opengl", "--json"]
+@pytest.mark.usefixtures("coarse_switches")
+def test_check_reports_it_and_warns(
+    sensor: Sensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tiny.toml").write_text(to_toml(sensor.design))
+    words = ["check", str(tmp_path / "tiny.toml"), "--opengl", "--json"]
     wrong = opengl_check.OpenGLComparison(markers=8, found=7, median_px=0.1, max_px=0.9)
     monkeypatch.setattr(opengl_check, "compare_with_opengl", lambda _: [wrong])
     result = CliRunner().invoke(app, words)

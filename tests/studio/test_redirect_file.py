@@ -84,14 +84,14 @@ def test_a_browser_gets_from_the_file_to_the_studio(
     running: StudioServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A browser calls the file another site than the studio."""
-    from tests.studio.test_page import CHROMIUM, FLAGS, playwright
+    from tests.studio.test_page import CHROMIUM, PLAIN, playwright
 
     opened: list[str] = []
     monkeypatch.setattr(redirect_file.webbrowser, "open", opened.append)
     with (
         opened_in_browser(running.url, tmp_path),
         playwright.sync_playwright() as play,
-        play.chromium.launch(executable_path=CHROMIUM, args=FLAGS) as browser,
+        play.chromium.launch(executable_path=CHROMIUM, args=PLAIN) as browser,
     ):
         page = browser.new_page()
         page.goto(opened[0])
