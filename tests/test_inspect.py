@@ -32,7 +32,7 @@ def handle() -> Sensor:
 
 
 @cache
-def clean(step: Step = "assembled") -> Assembly:
+def clean(step: Step) -> Assembly:
     return Assembly(handle(), step)
 
 
@@ -61,7 +61,7 @@ def test_a_turned_shell_and_a_moved_camera_are_reported_once() -> None:
     turned = replace(camera, position_mm=camera.position_mm @ turn, rotation=camera.rotation @ turn)
     far = moved(camera, np.array([0.8, 0.0, 0.0]), np.array([0.0, 0.8, 0.0]), 0.0)
     for through, fault in ((turned, "shell turned"), (far, "camera moved")):
-        photo = clean().photo(disturb=False, seed=7, camera=through)
+        photo = clean("assembled").photo(disturb=False, seed=7, camera=through)
         assert [one.fault for one in inspect(handle(), [photo], "assembled").mistakes] == [fault]
 
 

@@ -35,7 +35,7 @@ def place(force: float, **words: Any) -> ContactPatch:
 
 
 @cache
-def pressed(force: float, theory: str = "auto", **options: Any) -> Press:
+def pressed(force: float, theory: str, **options: Any) -> Press:
     return press(
         Sensor.of(DESIGN, SURFACE, MARKERS),
         place(force, at="45"),
@@ -93,7 +93,7 @@ def test_linear_motion_grows_with_the_force_and_peaks_under_it() -> None:
 
 
 def test_auto_takes_large_displacements_where_linear_is_off() -> None:
-    light, hard = pressed(0.3), pressed(25.0)
+    light, hard = pressed(0.3, "auto"), pressed(25.0, "auto")
     assert not light.large
     np.testing.assert_array_equal(light.motion, pressed(0.3, "linear").motion)
     assert hard.large
@@ -103,7 +103,7 @@ def test_auto_takes_large_displacements_where_linear_is_off() -> None:
     truth = gap / np.linalg.norm(hard.motion[:, :3], axis=1).max()
     assert truth > 0.05
     assert 0.5 < hard.linear_error / truth < 2.0
-    assert pressed(25.0, tolerance=10.0).large is False
+    assert pressed(25.0, "auto", tolerance=10.0).large is False
 
 
 def test_large_tips_keep_their_distance_from_the_wall() -> None:
@@ -210,4 +210,4 @@ def test_unknown_theory_and_tolerance_are_refused() -> None:
     with refused("theory-unknown"):
         pressed(1.0, "cubic")
     with refused("tolerance-invalid"):
-        pressed(1.0, tolerance=0.0)
+        pressed(1.0, "auto", tolerance=0.0)

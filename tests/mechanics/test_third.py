@@ -19,7 +19,7 @@ from tests.designs import drawn
 
 
 @cache
-def model(kind: str = "cylinder", refine: int = 2) -> ShellModel:
+def model(kind: str, refine: int = 2) -> ShellModel:
     design = drawn(kind, 3)
     surface = design.surface()
     markers = make_markers(design, surface)
@@ -28,7 +28,7 @@ def model(kind: str = "cylinder", refine: int = 2) -> ShellModel:
 
 
 @cache
-def whole(kind: str = "cylinder") -> FloatArray:
+def whole(kind: str) -> FloatArray:
     return np.concatenate([third for _, third in cubic_stiffness(model(kind))]).astype(float)
 
 
@@ -74,19 +74,19 @@ def test_along_a_motion_it_is_the_expansion_of_koiter(kind: str) -> None:
 
 
 def test_of_two_motions_it_is_the_second_difference_of_forces() -> None:
-    own = model()
+    own = model("cylinder")
     resting, (one, two) = ReferenceShell(own), drawn_motions(own, 2)
     x, y = 1e-3 / resting.motion_size(one) * one, 1e-3 / resting.motion_size(two) * two
     each = [resting.internal(a * x + b * y) for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]
     wanted = (each[0] + each[1] - each[2] - each[3]) / 4.0
-    found = force(own, whole(), x, y)
+    found = force(own, whole("cylinder"), x, y)
     # Forces on spins have a part more, which no disc's pressure has a share in.
     moved = own.solve(np.stack([wanted, found], axis=1)).motion.reshape(-1, 2)
     assert np.linalg.norm(moved[:, 0] - moved[:, 1]) < 1e-3 * np.linalg.norm(moved[:, 0])
 
 
 def test_a_shift_of_an_element_as_a_whole_changes_nothing() -> None:
-    third = whole()
+    third = whole("cylinder")
     for axis in range(3):
         shift = np.tile(np.eye(6)[axis], 4)
         left = np.einsum("eabc,a->ebc", third, shift)
@@ -94,14 +94,14 @@ def test_a_shift_of_an_element_as_a_whole_changes_nothing() -> None:
 
 
 def test_copies_of_an_element_are_turned_not_computed() -> None:
-    own = model()
+    own = model("cylinder")
     assert len(_copies(own)[0]) < len(own.quads) / 8
     each = _of(Corotational(own, apart=np.arange(len(own.quads)))).astype(float)
-    np.testing.assert_allclose(whole(), each, atol=3e-6 * np.abs(each).max())
+    np.testing.assert_allclose(whole("cylinder"), each, atol=3e-6 * np.abs(each).max())
 
 
 def test_chunks_are_all_the_elements_in_their_order() -> None:
-    own = model()
+    own = model("cylinder")
     slices = [some for some, _ in cubic_stiffness(own, at_once=70)]
     assert len(slices) > 1
     assert [some.stop for some in slices[:-1]] == [some.start for some in slices[1:]]
@@ -109,7 +109,7 @@ def test_chunks_are_all_the_elements_in_their_order() -> None:
 
 
 def test_elements_apart_add_up_to_the_shell() -> None:
-    own = model()
+    own = model("cylinder")
     (motion,) = drawn_motions(own, 1)
     rows = dofs(own)
     parts = motion[rows].reshape(-1, 6)

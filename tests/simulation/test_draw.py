@@ -45,7 +45,7 @@ SERIES = Relaxation(share=np.array([0.1, 0.05]), time_s=np.array([0.7, 20.0]))
 
 
 @cache
-def sensor(name: str = "cylinder40", number: int = 0) -> Drawn:
+def sensor(name: str, number: int = 0) -> Drawn:
     design = load_design(name)
     surface = design.surface()
     section = SensorInstanceSection(number=number)
@@ -61,7 +61,7 @@ def scenario(kind: str = "presses", **tables: Any) -> Scenario:
 
 
 def plan(own: Scenario, of: Drawn | None = None, seed: int = 5) -> SamplePlan:
-    design, surface, unit = of or sensor()
+    design, surface, unit = of or sensor("cylinder40")
     return draw_plan(design, surface, unit, own, seed=seed)
 
 
@@ -200,7 +200,7 @@ def test_chunks_of_samples_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_rig_goes_column_after_column() -> None:
-    design, surface, unit = sensor()
+    design, surface, unit = sensor("cylinder40")
     markers = unit.markers
     got = plan(_asked(DRAWN["columns"], 250))
     first = got.touches.uv[np.unique(got.touches.sample, return_index=True)[1]]
@@ -225,7 +225,7 @@ def test_without_rows_it_goes_strip_after_strip() -> None:
 
 
 def test_contacts_of_a_sample_keep_apart() -> None:
-    design, surface, _ = sensor()
+    design, surface, _ = sensor("cylinder40")
     touches = plan(_asked(DRAWN["columns"], 150)).touches
     at, size = surface.point(touches.uv), reach_mm(touches)
     same = touches.sample[:, None] == touches.sample[None]
@@ -292,7 +292,7 @@ def test_samples_without_contact() -> None:
     none = plan(scenario(touch={"samples": 5, "at": []}))
     assert none.touches.samples == 5
     assert len(none.touches.force_N) == 0
-    assert none.switching.bits.shape == (5, sensor()[2].markers.count)
+    assert none.switching.bits.shape == (5, sensor("cylinder40")[2].markers.count)
     assert not none.switching.bits.any()
     assert (none.region.low == none.region.high).all()
     some = plan(scenario(touch={"samples": 300, "empty_share": 0.3}))
@@ -324,7 +324,7 @@ def test_presses_creep_or_relax_until_they_are_sampled(control: str) -> None:
 
 
 def test_switches_of_single_presses_are_those_of_the_activation_law() -> None:
-    design, surface, unit = sensor()
+    design, surface, unit = sensor("cylinder40")
     got = plan(scenario(touch={"samples": 80, "most": 4}))
     known = switch_states(Sensor.of(design, surface, unit.markers), got.touches)
     assert got.switching.bits.any()
@@ -334,8 +334,8 @@ def test_switches_of_single_presses_are_those_of_the_activation_law() -> None:
 
 def test_switches_are_those_of_the_print_the_places_those_of_the_design() -> None:
     own = scenario(touch={"samples": 60, "multi_share": 0.0})
-    design, surface, unit = sensor(number=1)
-    first, other = plan(own), plan(own, sensor(number=1))
+    design, surface, unit = sensor("cylinder40", number=1)
+    first, other = plan(own), plan(own, sensor("cylinder40", number=1))
     assert (first.touches.uv == other.touches.uv).all()
     share = footprint_shares(
         surface, other.touches, unit.markers.uv, design.switch.footprint_diameter_mm / 2.0
@@ -347,7 +347,7 @@ def test_switches_are_those_of_the_print_the_places_those_of_the_design() -> Non
 
 
 def test_a_relaxing_press_keeps_the_switch_that_its_peak_tripped() -> None:
-    design, surface, unit = sensor()
+    design, surface, unit = sensor("cylinder40")
     middle = scenario(touch={"at": [AT | {"marker": 80, "radius_mm": 0.1}]})
     held = {"relax_share": [0.3], "relax_s": [0.1], "hold_s": 60.0, "control": "displacement"}
     for peak, on in ((0.55, True), (0.65, True), (0.49, False)):
