@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from phytac_design.cli.app import app
 from phytac_design.design.design_file import to_toml
 from phytac_design.engine import cache, runner
 from phytac_design.engine.runner import StageCosts, StageRun
@@ -230,24 +232,19 @@ def test_a_stage_that_takes_longer_than_predicted_is_not_about_to_end() -> None:
         assert late.left_s() == pytest.approx(6.0, abs=0.1)
 
 
-def test_builds_by_one_and_two_workers_are_equal(tmp_path: Path) -> None:
+def test_builds_by_one_and_two_workers_are_equal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All files, each build from an empty cache; ``benchmarks.build`` has whole builds, by four."""
     design = tmp_path / "tiny.toml"
     design.write_text(to_toml(tiny()))
     found = []
     for workers in (1, 2):
         out = tmp_path / f"out{workers}"
-        words = f"build {design} --accuracy draft --only shell,mesh"
-        done = subprocess.run(
-            [
-                *[sys.executable, "-m", "phytac_design", *words.split(), "--json"],
-                *["--workers", str(workers), "--out", str(out)],
-            ],
-            env=os.environ | {"PHYTAC_CACHE": str(tmp_path / f"cache{workers}")},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        words = f"build {design} --accuracy draft --only shell,mesh --workers {workers} --json"
+        monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / f"cache{workers}"))
+        done = CliRunner().invoke(app, [*words.split(), "--out", str(out)])
+        assert done.exit_code == 0, done.output
         ran = json.loads(done.stdout)["ran"]
         assert len(ran) == 2
         lines = [line for line in done.stderr.splitlines() if "s left)" in line]
