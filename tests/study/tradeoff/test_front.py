@@ -1,6 +1,7 @@
 """Fronts, settings and the journal of measured points."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -12,11 +13,18 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import to_toml
 from phytac_design.design.spec import Design
 from phytac_design.study.tradeoff import points as points_module
-from phytac_design.study.tradeoff.front import MeasuredSetting, beaten_by, knee, pareto
+from phytac_design.study.tradeoff import run_tradeoff
+from phytac_design.study.tradeoff.front import (
+    MeasuredSetting,
+    beaten_by,
+    knee,
+    pareto,
+    setting_fronts,
+)
 from phytac_design.study.tradeoff.joint import JointGrid
 from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
 from phytac_design.study.tradeoff.run_tradeoff import tradeoff
-from phytac_design.study.tradeoff.settings import QUANTITIES, SETTINGS, setting_named
+from phytac_design.study.tradeoff.settings import QUANTITIES, SETTINGS, Setting, setting_named
 from tests.designs import drawn
 from tests.refusals import refused
 
@@ -144,7 +152,11 @@ def test_tradeoff_writes_json_tables_and_pictures(
             "clearance": [1.0, 0.5 + 0.001 * size],
         }
 
+    def some(name: str, rows: Sequence[tuple[Setting, Sequence[MeasuredSetting]]]) -> bytes:
+        return setting_fronts(name, rows[::6])  # every panel takes a fifth of a second
+
     monkeypatch.setattr(points_module, "measure_apart", answer)
+    monkeypatch.setattr(run_tradeoff, "setting_fronts", some)
     design = drawn("hemisphere", 1)
     done = tradeoff(design, tmp_path, progress=lambda _: None)
     assert set(done.presets) == set(PRESETS)
