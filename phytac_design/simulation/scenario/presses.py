@@ -142,7 +142,7 @@ def draw_presses(
     touch, limits = scenario.touch, contact_ranges(design, scenario.touch)
     place = place_sampler(surface, markers, touch, limits.radius_mm[0])
     route = traverse(surface, markers, touch) if touch.placement == "columns" else None
-    parts = []
+    parts, fitting = [], list[list[list[int]]]()
     for first in range(0, samples, chunk):
         numbers = np.arange(first, min(first + chunk, samples))
         wanted = np.ones(len(numbers), dtype=np.int64)
@@ -160,14 +160,15 @@ def draw_presses(
         gripped = (wanted > 1) & bool(touch.grippers)
         parts.append(draw.fill(numbers, np.where(gripped, 0, wanted), rngs))
         if gripped.any():
-            rows = [_gripped(draw, markers, int(k), rngs[k - first]) for k in numbers[gripped]]
+            fitting = fitting or _fitting(draw, markers)
+            rows = [_gripped(draw, fitting, int(k), rngs[k - first]) for k in numbers[gripped]]
             both = concatenate_contacts([parts.pop(), *rows], len(numbers))
             parts.append(both.take(np.argsort(both.sample, kind="stable")))
     return concatenate_contacts(parts, samples)
 
 
-def _gripped(draw: "_Draw", markers: Markers, number: int, rng: np.random.Generator) -> Contacts:
-    """Contacts of a sample that one of the grippers presses, wherever all its fingers fit.
+def _fitting(draw: "_Draw", markers: Markers) -> list[list[list[int]]]:
+    """Receptors under the fingers of each gripper that fits anywhere, at each of those places.
 
     Raises
     ------
@@ -196,6 +197,13 @@ def _gripped(draw: "_Draw", markers: Markers, number: int, rng: np.random.Genera
             f"receptors that may be pressed, with {room:.3g} mm between fingers; bring them closer "
             "or farther apart, give more touch.columns, or lower touch.radius_max_mm",
         )
+    return fitting
+
+
+def _gripped(
+    draw: "_Draw", fitting: list[list[list[int]]], number: int, rng: np.random.Generator
+) -> Contacts:
+    """Contacts of a sample that one of the grippers presses, wherever all its fingers fit."""
     places = fitting[int(rng.integers(len(fitting)))]
     receptor = np.array(places[int(rng.integers(len(places)))])
     draws = rng.random((len(receptor), draw.draws))
