@@ -236,7 +236,7 @@ def _levels(model: ColourModel, chroma: FloatArray, paint: IntArray) -> FloatArr
 
 
 def _quantile(values: FloatArray, share: float) -> FloatArray:
-    """Quantile (n,) of each row (n, p) of numbers and NaN, as ``np.nanquantile``, in a tenth."""
+    """Quantile (n,) of each row (n, p) of numbers and NaN: ``np.nanquantile``, but faster."""
     ordered = np.sort(values, axis=1)  # NaN comes last
     at = share * (np.isfinite(values).sum(axis=1) - 1)
     low, high = np.floor(at), np.ceil(at)
