@@ -183,7 +183,7 @@ class CameraMotion:
     def normal_equations(
         self, rows: FloatArray, shift_px: FloatArray, noise_px: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return matrix (m, m) and right-hand side (m,) of multiples of rows, any motion beside.
+        """Return matrix (m, m) and right-hand side (m,) for multiples of rows under any motion.
 
         Least squares of shifts (2n,) by multiples of rows (m, 2n) and by the motion, whose unknowns
         are eliminated, given noise of shifts.

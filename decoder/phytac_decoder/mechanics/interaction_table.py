@@ -13,9 +13,9 @@ interaction is larger than of second order by ::
 with the shares a of the stiffness that a newton takes away at each place
 (:attr:`ResponseTable.softening`), and ρ the size of M over the geometric mean of those at each
 place. The two numbers are chosen by solutions with large displacements on ``cylinder60``: 25 N on
-each of two discs, 8 to 45 mm apart, interact 1.4 to 4.3 times as much as of second order. Up to a
-few percent, the images M of all places lie in a space of some dozen dimensions: tabulated are the
-axes of that space, and the coordinates of M over pairs of places.
+each of two discs, 8 to 45 mm apart, interact 1.4 to 4.3 times as much as of second order. Most of
+the images M of all places lies in a space of some dozen dimensions: tabulated are the axes of that
+space, and the coordinates of M over pairs of places.
 """
 
 from collections.abc import Sequence
