@@ -59,14 +59,14 @@ def test_rims_are_pressed_near_open_edges_and_evenly(shape: str) -> None:
 def test_rims_stay_within_the_touched_part() -> None:
     touch = {"samples": 60, "multi_share": 0.0, "placement": "rims", "rim_mm": 20.0}
     got = plan(scenario(touch=touch | {"along": [0.9, 1.0], "around": [0.1, 0.3]}))
-    share = got.touches.uv / np.ptp(sensor()[1].domain, axis=1)
+    share = got.touches.uv / np.ptp(sensor("cylinder40")[1].domain, axis=1)
     assert share.min(axis=0) == pytest.approx([0.9, 0.1], abs=0.02)
     assert share.max(axis=0) == pytest.approx([1.0, 0.3], abs=0.02)
     assert share[:, 0].min() >= 0.9 - 1e-9
 
 
 def test_every_way_to_name_a_place_is_the_same_place() -> None:
-    _, surface, unit = sensor()
+    _, surface, unit = sensor("cylinder40")
     marker = 40
     u, v = (unit.markers.uv[marker] - surface.domain[:, 0]) / np.ptp(surface.domain, axis=1)
     above = surface.point(unit.markers.uv[marker : marker + 1], 7.0)[0]

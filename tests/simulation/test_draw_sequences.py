@@ -110,7 +110,7 @@ def test_a_wall_remembers_the_levels_of_its_grip_only() -> None:
 
 def test_switches_of_a_grip_remember_its_levels() -> None:
     """One pad on one receptor: its switch is on between release and threshold only if it was."""
-    _, surface, unit = sensor()
+    _, surface, unit = sensor("cylinder40")
     share = (unit.markers.uv[80] - surface.domain[:, 0]) / np.ptp(surface.domain, axis=1)
     pad = {"along": float(share[0]), "around": float(share[1])}
     grip = {"pads": [pad], "levels": 200, "turn": "none", "flip": "none", "shift": 0.0}
