@@ -240,7 +240,7 @@ def test_measured_squares_and_pairs_are_kept(built: BuildResult, tmp_path: Path)
         marker=np.array([20, 4]),
         shift_px=model.compliance_px[:, [20, 4]],
         square_px=rows[:, :2],
-        pair=np.array([[20, 9], [4, 4]]),
+        pair=np.array([[20, 4], [4, 9]]),
         pair_px=rows[:, 2:],
     )
     save_bundle(replace(bundle, model=replace(model, measured=columns)), tmp_path)

@@ -155,7 +155,7 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
 
     With large displacements, terms by the square of each force and by the forces of each two are
     measured as well. Each entry has the model's as prior mean, and as prior standard deviation
-    ``column_sd`` times the marker's shift by design, at the largest force of the data, or
+    ``column_sd`` times the marker's shift by design, at the largest force on it, or
     ``PAIR_SD`` times an interaction by the tables (Bayesian linear regression, a marker at a time).
     """
     if samples.truth is None or samples.shift_px is None:

@@ -11,6 +11,7 @@ from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.large_displacements import LargeDisplacements
+from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.pipeline.fault_detection import FaultDetector
 from phytac_design.datasets.samples import THEORIES, Samples, key_nodes, truth_rows
 from phytac_design.stages import decoder_stage
@@ -123,9 +124,22 @@ def test_they_are_those_of_auto_where_the_wall_softens() -> None:
     np.testing.assert_allclose(own.shifts(ids, force)[0], wanted, atol=4e-3 * np.abs(wanted).max())
 
 
-def test_interactions_are_what_two_do_beyond_each_alone() -> None:
-    own = LargeDisplacements(places=softer(0.012), position_mm=MARKERS, softness=1.2)
+@pytest.mark.parametrize("more", [0.0, 0.03])
+def test_interactions_are_what_two_do_beyond_each_alone(more: float) -> None:
+    """Those that were measured may be large."""
     ids, force = np.array([33, 57]), np.zeros(N)
+    own = LargeDisplacements(
+        places=softer(0.012),
+        position_mm=MARKERS,
+        softness=1.2,
+        measured=MeasuredColumns(
+            marker=ids,
+            shift_px=LINEAR[:, ids],
+            square_px=np.zeros((2 * N, 2)),
+            pair=ids[::-1, None],
+            pair_px=more * LINEAR[:, ids].sum(axis=1)[:, None],
+        ),
+    )
     force[ids] = 17.0, 12.0
     inputs, images_px = own.interactions(ids[::-1, None], force[None])
     alone = [own.shifts(ids[k : k + 1], force[ids[k : k + 1]])[0] for k in (0, 1)]

@@ -210,6 +210,10 @@ def test_softening_is_that_of_the_shifts(softening: float) -> None:
 def test_walls_that_stiffen_or_have_two_powers_do_not_soften() -> None:
     assert not softer(-0.01).softening.any()
     assert not aware(flat_locator()).places.softening.any()
+    assert not replace(softer(0.012), top_N=np.inf).softening.any()
+    places = softer(0.012)
+    still = places.with_rows(places.shift_px * np.array([1, 0, 0, 0], dtype=np.float32)[:, None])
+    assert not still.softening.any()
     linear = flat_locator().linear.places
     assert not linear.softening.any()
     assert not linear.own_interaction_px.any()

@@ -57,7 +57,7 @@ class LargeDisplacements:
     softness: float = 1.0
     measured: MeasuredColumns | None = None
     _own: dict[int, FloatArray] = field(default_factory=dict, init=False, repr=False)
-    _pairs: dict[tuple[int, int], tuple[FloatArray, float]] = field(
+    _pairs: dict[tuple[int, int], tuple[FloatArray, float, float]] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -76,9 +76,9 @@ class LargeDisplacements:
             parts.append((f * powers @ own, ((1.0 + grows) * powers @ own)[None]))
         pairs = self.places.pairs
         if pairs is not None and len(receptors) > 1:
-            images, coupling = self._interactions(pairs, receptors)
+            images, coupling, size_px = self._interactions(pairs, receptors)
             softening = self.places.softening[self._nearest[receptors]]
-            parts = add_interactions(images, coupling, force, softening, parts)
+            parts = add_interactions(images, coupling, force, softening, parts, size_px=size_px)
         linear = np.stack([own[0] for own in rows])
         total = np.sum([shift for shift, _ in parts], axis=0) - force @ linear
         slope = np.concatenate([slope for _, slope in parts]) - linear
@@ -94,7 +94,7 @@ class LargeDisplacements:
         coupling = np.zeros(len(one))
         if self.places.pairs is not None:
             for k, both in enumerate(pair.T.tolist()):
-                images_px[k], coupling[k] = self._interaction(self.places.pairs, *both)
+                images_px[k], coupling[k], _ = self._interaction(self.places.pairs, *both)
         lost = self.softness * force_N * self.places.softening[self._nearest]
         growth, _ = interaction_growth(coupling * (lost[:, one] + lost[:, other]))
         return force_N[:, one] * force_N[:, other] * growth, self.softness**2 * images_px
@@ -122,7 +122,7 @@ class LargeDisplacements:
             more, slope = self.shifts(receptors, at)
             new = least_squares(linear_px + slope, shift_px - more + at @ slope)
             step = new - force if number < FULL_STEPS else 0.5 * (new - force)
-            change, force = np.abs(step).max(), force + step
+            change, force = np.abs(new - force).max(), force + step
             if change <= TOLERANCE * max(float(force.max()), 1.0):
                 break
         return force
@@ -147,28 +147,29 @@ class LargeDisplacements:
 
     def _interactions(
         self, pairs: InteractionTable, receptors: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return images (k, 2n) and coupling (k,) of each two, as :func:`add_interactions`."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return images (k, 2n), coupling (k,) and size (k,) as :func:`add_interactions`."""
         ids = receptors.tolist()
         two = [(one, other) for i, one in enumerate(ids) for other in ids[:i]]
         found = [self._interaction(pairs, one, other) for one, other in two]
-        return np.stack([row for row, _ in found]), np.array([coupling for _, coupling in found])
+        rows, coupling, size_px = zip(*found, strict=True)
+        return np.stack(rows), np.array(coupling), np.array(size_px)
 
     def _interaction(
         self, pairs: InteractionTable, one: int, other: int
-    ) -> tuple[FloatArray, float]:
-        """Return image (2n,) and coupling of two receptors."""
+    ) -> tuple[FloatArray, float, float]:
+        """Return image (2n,), coupling, and size of the image by the tables, of two receptors."""
         known = self._pairs.get((one, other))
         if known is None:
             both = [one, other]
             (row,) = pairs.between(self.position_mm[both])
             own_px = self.places.own_interaction_px[self._nearest[both]]
             (coupling,) = interaction_coupling(row[None], own_px)
-            row = row.astype(np.float64)
+            size_px, row = float(np.linalg.norm(row)), row.astype(np.float64)
             if self.measured:
                 more = self.measured.pairs.get((max(both), min(both)), 0.0)
                 row += more / self.softness**2
             if len(self._pairs) >= PAIRS_KEPT:
-                del self._pairs[next(iter(self._pairs))]
-            known = self._pairs[one, other] = row, float(coupling)
+                self._pairs.pop(next(iter(self._pairs)), None)
+            known = self._pairs[one, other] = row, float(coupling), size_px
         return known

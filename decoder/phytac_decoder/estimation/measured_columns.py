@@ -42,5 +42,5 @@ class MeasuredColumns:
     @cached_property
     def pairs(self) -> dict[tuple[int, int], FloatArray]:
         """Rows (2n,) of ``pair_px`` by both markers, the larger number first."""
-        both = zip(*self.pair.tolist(), strict=True)
+        both = zip(self.pair.max(axis=0).tolist(), self.pair.min(axis=0).tolist(), strict=True)
         return dict(zip(both, self.pair_px.T, strict=True)) if self.pair_px.size else {}

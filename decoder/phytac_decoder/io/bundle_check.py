@@ -78,7 +78,7 @@ MEASURED_LARGE: dict[str, tuple[int | str, ...]] = {
     "measured_pair": (2, "pairs"),
     "measured_pair_px": ("2n", "pairs"),
 }
-"""And of one that has measured large displacements."""
+"""Further arrays of a bundle that has measured large displacements."""
 
 
 def check_bundle(

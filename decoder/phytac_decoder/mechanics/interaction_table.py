@@ -6,15 +6,15 @@ Koiter's second-order term of several forces contains f²·S₂ of each and a mi
 
 since the stress and rotation of one contact stiffen or soften the wall for the other. Two strong
 contacts close to each other bring a curved wall nearer to buckling than either alone, and the
-interaction is larger than of second order by ::
+interaction is larger than the second-order term by ::
 
     1 / (1 - (0.4 + 0.9·ρ)·(a₁·f₁ + a₂·f₂))
 
 with the shares a of the stiffness that a newton takes away at each place
 (:attr:`ResponseTable.softening`), and ρ the size of M over the geometric mean of those at each
 place. The two numbers are chosen by solutions with large displacements on ``cylinder60``: 25 N on
-each of two discs, 8 to 45 mm apart, interact 1.4 to 4.3 times as much as of second order. Most of
-the images M of all places lies in a space of some dozen dimensions: tabulated are the axes of that
+each of two discs, 8 to 45 mm apart, interact 1.4 to 4.3 times as much as by the second-order term.
+Most of M, over all places, lies in a space of some dozen dimensions: tabulated are the axes of that
 space, and the coordinates of M over pairs of places.
 """
 
@@ -29,10 +29,10 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray
 
 SHARE_MAX = 0.3
-"""Largest interaction of second order over the shifts of each contact alone: the tables do not hold
-for contacts that nearly coincide."""
+"""Largest interaction of second order over the shifts of each contact alone, before it grows: the
+tables do not hold for contacts that nearly coincide."""
 COUPLING = (0.4, 0.9)
-"""What softening counts for an interaction: where two contacts hardly interact, and what is added
+"""Weight of softening in an interaction: where two contacts hardly interact, and what is added
 times ρ."""
 STIFFNESS_MIN = 0.2
 """Share of the stiffness that two contacts leave, at least, in the growth of their interaction."""
@@ -117,7 +117,7 @@ class InteractionCache:
 def interaction_coupling(
     images: NDArray[np.float32] | FloatArray, own_px: FloatArray
 ) -> FloatArray:
-    """Return what softening counts for the interaction (k,) of each two contacts.
+    """Return the weight (k,) of softening in the interaction of each two contacts.
 
     Parameters
     ----------
@@ -147,6 +147,8 @@ def add_interactions(
     force_N: FloatArray,
     softening: FloatArray,
     parts: Sequence[tuple[FloatArray, FloatArray]],
+    *,
+    size_px: FloatArray | None = None,
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return shifts and slopes of c contacts with their interactions.
 
@@ -161,12 +163,14 @@ def add_interactions(
     parts : sequence of ((2n,), (u, 2n)) float
         Shifts of each, and their slopes by its unknowns, of which the first is the force; the
         slopes are changed. They leave out the small change of M with the places.
+    size_px : (k,) float, optional
+        Size of M by the tables, which :data:`SHARE_MAX` is about; that of the images by default.
     """
     size = np.array([np.linalg.norm(total) for total, _ in parts])
     # Strictly below the diagonal, row by row, as the images.
     i, k = np.array(_each_two(len(parts))).T
     both = force_N[i] * force_N[k]
-    much = both * np.linalg.norm(images, axis=1)
+    much = both * (np.linalg.norm(images, axis=1) if size_px is None else size_px)
     share = np.minimum(1.0, SHARE_MAX * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300))
     lost = softening * force_N
     growth, steepness = interaction_growth(coupling * (lost[i] + lost[k]))

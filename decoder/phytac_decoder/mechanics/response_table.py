@@ -93,12 +93,13 @@ class ResponseTable:
         tabulated force and all of it.
         """
         out = np.zeros(len(self.point_mm))
-        if self.orders < 3:
+        if self.orders < 3 or not np.isfinite(self.top_N):
             return out
         powers = (self.top_N * np.array([[0.5], [1.0]])) ** np.arange(self.orders - 1)
         rows = self.shift_px[:, 1 : self.orders]
         half, top = np.einsum("tk,pkn->tpn", powers.astype(np.float32), rows)
-        growth = np.einsum("pn,pn->p", half, top) / np.einsum("pn,pn->p", half, half)
+        size = np.maximum(np.einsum("pn,pn->p", half, half), 1e-30)
+        growth = np.einsum("pn,pn->p", half, top) / size
         growth = np.clip(growth, 1.0, SOFTENING_GROWTH_MAX)
         return np.asarray((growth - 1.0) / (growth - 0.5) / self.top_N)
 
