@@ -155,8 +155,9 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
 
     With large displacements, terms by the square of each force and by the forces of each two are
     measured as well. Each entry has the model's as prior mean, and as prior standard deviation
-    ``column_sd`` times the marker's shift by design, at the largest force on it, or
-    ``PAIR_SD`` times an interaction by the tables (Bayesian linear regression, a marker at a time).
+    ``column_sd`` times the marker's shift by design, for squares at the largest force of the data
+    and of the tables, or ``PAIR_SD`` times an interaction by the tables (Bayesian linear
+    regression, a marker at a time).
     """
     if samples.truth is None or samples.shift_px is None:
         return None
@@ -180,8 +181,9 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
             own = np.flatnonzero(each)
             more_px, _ = large.shifts(own, each[own])
             residual[sample] -= more_px.reshape(count, 2)
-        largest = force[:, marker].max(axis=0)
-        terms.append(_Terms(inputs=force[:, marker] ** 2, sd_px=columns.sd_px / largest))
+        # Weak presses alone do not say how far off a strong one would be.
+        most_N = max(float(force.max()), large.largest_N)
+        terms.append(_Terms(inputs=force[:, marker] ** 2, sd_px=columns.sd_px / most_N))
     if large and large.places.pairs:
         pair = _pairs(pressed)
         inputs, images_px = large.interactions(pair, force)

@@ -323,6 +323,28 @@ def test_squares_and_pairs_are_measured() -> None:
     assert np.abs(np.array(read) - force[:12]).max() < 0.3
 
 
+def test_squares_by_weak_presses_are_small_for_strong_ones() -> None:
+    """Noise alone makes them; at the largest force of the tables they stay within the prior."""
+    rng, count = np.random.default_rng(0), 12
+    force, shift = np.zeros((count, N)), np.zeros((count, N, 2))
+    force[:, 44] = rng.uniform(0.5, 1.5, count)
+    locator = aware(flat_locator())
+    places = locator.places.with_rows(locator.places.shift_px, top_N=25.0)
+    of = replace(model(), locator=replace(locator, places=places), noise_px=0.02)
+    for k in range(count):
+        shift[k] = seen([44], [force[k, 44]]).reshape(N, 2)
+    samples = replace(
+        flat_samples.pressed(count, seed=0),
+        shift_px=shift + rng.normal(0.0, 0.02, shift.shape),
+        truth=truth_rows(force > 0.0, np.full(force.shape, -1), force),
+    )
+    found = measure(of, samples, 0.3)
+    assert found is not None
+    assert found.marker.tolist() == [44]
+    added = 25.0**2 * found.squares[44]
+    assert np.linalg.norm(added) < 0.3 * 25.0 * np.linalg.norm(LINEAR[:, 44])
+
+
 def test_a_linear_shell_has_neither_squares_nor_pairs() -> None:
     samples = flat_samples.pressed(60, seed=0)
     found = measure(model().linear, samples, 0.3)

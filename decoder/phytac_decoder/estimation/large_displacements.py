@@ -61,6 +61,11 @@ class LargeDisplacements:
         default_factory=dict, init=False, repr=False
     )
 
+    @property
+    def largest_N(self) -> float:
+        """Largest force of the tables; 0 where that is not known."""
+        return self.places.top_N / self.softness if np.isfinite(self.places.top_N) else 0.0
+
     def shifts(self, receptors: IntArray, force_N: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return shifts (2n,) px of forces (m,) on receptors, and their slopes (m, 2n) by forces.
 
