@@ -183,12 +183,12 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
             residual[sample] -= more_px.reshape(count, 2)
         # Weak presses alone do not say how far off a strong one would be.
         most_N = max(float(force.max()), large.largest_N)
-        terms.append(_Terms(inputs=force[:, marker] ** 2, sd_px=columns.sd_px / most_N))
-    if large and large.places.pairs:
-        pair = _pairs(pressed)
-        inputs, images_px = large.interactions(pair, force)
-        sizes = np.linalg.norm(images_px.reshape(-1, count, 2), axis=2)
-        terms.append(_Terms(inputs=inputs, sd_px=PAIR_SD * sizes.T))
+        if large.places.pairs:
+            pair = _pairs(pressed)
+        squares, products = large.second_order(pair, force)
+        terms.append(_Terms(inputs=squares[:, marker], sd_px=columns.sd_px / most_N))
+        sizes = np.linalg.norm(large.interaction_px(pair).reshape(-1, count, 2), axis=2)
+        terms.append(_Terms(inputs=products, sd_px=PAIR_SD * sizes.T))
     moved = force**2 @ size.T**2
     noise_px = max(model.noise_px, NOISE_LEAST_px)
     inputs = np.concatenate([each.inputs for each in terms], axis=1)

@@ -124,27 +124,31 @@ def test_they_are_those_of_auto_where_the_wall_softens() -> None:
     np.testing.assert_allclose(own.shifts(ids, force)[0], wanted, atol=4e-3 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("more", [0.0, 0.03])
-def test_interactions_are_what_two_do_beyond_each_alone(more: float) -> None:
-    """Those that were measured may be large."""
-    ids, force = np.array([33, 57]), np.zeros(N)
-    own = LargeDisplacements(
-        places=softer(0.012),
-        position_mm=MARKERS,
-        softness=1.2,
+def test_second_order_is_what_measured_terms_add() -> None:
+    ids, pair = np.array([33, 45, 57]), np.array([[45, 57], [33, 45]])
+    square_px, pair_px = 0.004 * LINEAR[:, ids], 0.03 * LINEAR[:, [33, 44]]
+    plain = LargeDisplacements(places=softer(0.012), position_mm=MARKERS, softness=1.2)
+    measured = replace(
+        plain,
         measured=MeasuredColumns(
-            marker=ids,
-            shift_px=LINEAR[:, ids],
-            square_px=np.zeros((2 * N, 2)),
-            pair=ids[::-1, None],
-            pair_px=more * LINEAR[:, ids].sum(axis=1)[:, None],
+            marker=ids, shift_px=LINEAR[:, ids], square_px=square_px, pair=pair, pair_px=pair_px
         ),
     )
-    force[ids] = 17.0, 12.0
-    inputs, images_px = own.interactions(ids[::-1, None], force[None])
-    alone = [own.shifts(ids[k : k + 1], force[ids[k : k + 1]])[0] for k in (0, 1)]
-    wanted = own.shifts(ids, force[ids])[0] - alone[0] - alone[1]
-    np.testing.assert_allclose(inputs @ images_px, wanted[None], atol=1e-4 * np.abs(wanted).max())
+    force = np.zeros((2, N))
+    force[:, ids] = [[17.0, 12.0, 5.0], [0.0, 9.0, 0.0]]
+    squares, products = plain.second_order(pair, force)
+    for each, square, product in zip(force, squares, products, strict=True):
+        own = np.flatnonzero(each)
+        more = measured.shifts(own, each[own])[0] - plain.shifts(own, each[own])[0]
+        wanted = square_px @ square[ids] + pair_px @ product
+        np.testing.assert_allclose(more, wanted, atol=1e-4 * np.abs(wanted).max())
+    # The wall is softer where others press.
+    assert squares[0, 57] > 1.1 * 5.0**2
+    assert squares[1, 45] == pytest.approx(9.0**2)
+    images = plain.interaction_px(pair)
+    np.testing.assert_allclose(
+        images[0], 1.44 * plain.places.pairs.between(MARKERS[[45, 33]])[0], rtol=1e-5
+    )
 
 
 def test_forces_beyond_the_tables_are_finite_and_grow() -> None:

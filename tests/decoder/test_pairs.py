@@ -16,7 +16,12 @@ from phytac_decoder.estimation.contact_fit import (
 )
 from phytac_decoder.estimation.contact_shifts import ContactState, centre_of, predicted_shifts
 from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
-from phytac_decoder.mechanics.interaction_table import InteractionTable
+from phytac_decoder.mechanics.interaction_table import (
+    InteractionGrowth,
+    InteractionTable,
+    add_interactions,
+    interaction_likeness,
+)
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.training.marker_gain import apply_gain
 from phytac_shapes.arrays import FloatArray
@@ -214,31 +219,65 @@ def test_walls_that_stiffen_or_have_two_powers_do_not_soften() -> None:
     places = softer(0.012)
     still = places.with_rows(places.shift_px * np.array([1, 0, 0, 0], dtype=np.float32)[:, None])
     assert not still.softening.any()
-    linear = flat_locator().linear.places
-    assert not linear.softening.any()
-    assert not linear.own_interaction_px.any()
+    assert not flat_locator().linear.places.softening.any()
     # At half of the stiffness that is lost the tables end.
     assert softer(0.035).softening.max() == pytest.approx(0.5 / 25.0)
 
 
-@pytest.mark.parametrize("force_N", [[6.0, 15.0], [25.0, 25.0], [40.0, 45.0]])
-def test_interactions_grow_as_the_wall_softens(force_N: list[float]) -> None:
-    places = softer(0.012)
-    pair = states(places, force_N=force_N)
-    alone = [predicted_shifts(places, [one])[0][0] for one in pair]
-    more = total(places, pair) - np.sum(alone, axis=0)
-    # The shifts beyond linear ones by 1 N on each place, at no force.
-    own = [2.0 * np.linalg.norm(places.shift_px[one.place, 1]) for one in pair]
-    coupling = 0.4 + 0.9 * min(np.linalg.norm(mixed(*AT)) / np.sqrt(own[0] * own[1]), 1.0)
-    left = max(1.0 - coupling * float(places.softening[0]) * sum(force_N), 0.2)
-    wanted = force_N[0] * force_N[1] * mixed(*AT) / left
-    assert np.linalg.norm(more - wanted) < 0.03 * np.linalg.norm(wanted)
+@pytest.mark.parametrize("force_N", [[6.0, 15.0], [9.0, 4.0, 12.0], [11.0, 3.0, 8.0, 5.0, 7.0]])
+def test_contacts_on_one_place_are_one_contact_of_their_sum(force_N: list[float]) -> None:
+    """On a wall whose shifts are f·L + f²·S / (1 - a·f)."""
+    force, softening = np.array(force_N), 0.02
+    line, square = np.array([1.0, -2.0, 0.5, 3.0]), np.array([1e-3, 2e-3, -1e-3, 4e-3])
+
+    def shift(f: float) -> FloatArray:
+        return f * line + f**2 * square / (1.0 - softening * f)
+
+    def slope(f: float) -> FloatArray:
+        left = 1.0 - softening * f
+        return line + (2.0 * f / left + softening * f**2 / left**2) * square
+
+    images = np.tile(2.0 * square, (len(force) * (len(force) - 1) // 2, 1))
+    parts = [(shift(f), slope(f)[None]) for f in force_N]
+    likeness = interaction_likeness(images, np.tile(square, (len(force), 1)))
+    found = add_interactions(
+        images, likeness, force, np.full(len(force), softening), parts, [line] * len(force)
+    )
+    whole = float(force.sum())
+    np.testing.assert_allclose(np.sum([one for one, _ in found], axis=0), shift(whole), rtol=1e-5)
+    for _, by_force in found:
+        np.testing.assert_allclose(by_force[0], slope(whole), rtol=1e-5)
 
 
-@pytest.mark.parametrize("force_N", [[6.0, 15.0], [25.0, 22.0], [40.0, 45.0]])
+def test_likeness_has_a_sign_and_is_one_at_most() -> None:
+    square = np.array([[1.0, 0.0], [4.0, 0.0]])
+    for image, wanted in (((4.0, 0.0), 1.0), ((-2.0, 5.0), -0.5), ((9.0, 0.0), 1.0)):
+        likeness = interaction_likeness(np.array([image]), square)
+        np.testing.assert_allclose(likeness, [[1.0, wanted], [wanted, 1.0]])
+    # Walls that are linear at a place have nothing to compare.
+    np.testing.assert_array_equal(
+        interaction_likeness(np.array([[4.0, 0.0]]), 0.0 * square), np.eye(2)
+    )
+
+
+@pytest.mark.parametrize("likeness", [-0.5, 0.0, 0.7])
+def test_two_contacts_share_the_stiffness_that_is_there(likeness: float) -> None:
+    alike = np.array([[1.0, likeness], [likeness, 1.0]])
+    grows = InteractionGrowth.of(alike, np.array([0.3, 0.1]))
+    left = 0.7 - 0.1 * likeness, 0.9 - 0.3 * likeness
+    np.testing.assert_allclose(grows.own, [0.7 / left[0], 0.9 / left[1]])
+    np.testing.assert_allclose(grows.pair, [2.0 / sum(left)])
+    # Towards buckling the growth ends.
+    much = InteractionGrowth.of(alike, np.array([0.95, 1.9]))
+    assert 0.0 < much.own.max() <= 1.0 + 4.0 * max(likeness, 0.0)
+    assert much.pair[0] <= 5.0
+
+
+@pytest.mark.parametrize("force_N", [[6.0, 15.0], [25.0, 22.0], [40.0, 45.0], [14.0, 9.0, 11.0]])
 def test_slopes_by_forces_are_differences_where_the_wall_softens(force_N: list[float]) -> None:
     places = softer(0.012)
-    found = states(places, force_N=force_N)
+    at = [*AT, np.array([31.0, 18.0, 0.0])][: len(force_N)]
+    found = states(places, at, force_N)
     slopes = [slope[0] for _, slope in predicted_shifts(places, found)]
     for one, slope in zip(found, slopes, strict=True):
         ends = []

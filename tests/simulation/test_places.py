@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phytac_decoder.estimation.contact_fit import ContactPrior, initial_state
+from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.design.accuracy import settings_of
 from phytac_design.design.spec import Design
@@ -229,6 +231,30 @@ def test_interactions_add_what_two_contacts_do_beyond_their_sum(far_mm: float, w
     # Places are 12 mm apart, and the simulated sensor's mesh is twice as fine.
     assert off(predicted, wanted) < 0.4
     assert predicted @ wanted > 0.97 * np.linalg.norm(predicted) * np.linalg.norm(wanted)
+
+
+def test_three_strong_contacts_soften_the_wall_together() -> None:
+    """What they do beyond their sum, by large displacements on the simulated sensor's shell."""
+    places = tabulated().places
+    middle = SURFACE.domain.mean(axis=1)[None]
+    one, (along, around) = SURFACE.point(middle)[0], tangent_frame(SURFACE, middle)
+    uv = SURFACE.chart(np.concatenate([[one], one + 11.0 * along, one + 11.0 * around]))
+    force, radius = 0.6 * DESIGN.training.force_max_N, places.radius_mm
+    alone = [true_shifts(uv[[k]], radius, force) for k in range(3)]
+    wanted = true_shifts(uv, radius, force) - np.sum(alone, axis=0)
+    disc = radius**2 / 4.0
+    prior = ContactPrior(place_mm=1.0, moments_mm2=(disc, 0.0, disc))
+
+    def error(tables: ResponseTable) -> float:
+        states = [initial_state(tables, prior, point, force) for point in SURFACE.point(uv)]
+        single = [predicted_shifts(tables, [state])[0][0] for state in states]
+        together = [shift for shift, _ in predicted_shifts(tables, states)]
+        return off(np.sum(together, axis=0) - np.sum(single, axis=0), wanted)
+
+    still = replace(places)
+    still.__dict__["softening"] = np.zeros(len(places.point_mm))
+    assert error(places) < 0.32
+    assert error(still) > 0.45
 
 
 def test_coordinates_of_pairs_are_those_of_their_own_images(

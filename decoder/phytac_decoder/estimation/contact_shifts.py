@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from phytac_decoder.mechanics.interaction_table import (
     InteractionCache,
     add_interactions,
-    interaction_coupling,
+    interaction_likeness,
 )
 from phytac_decoder.mechanics.membrane_stretching import lost_softness, order_factors
 from phytac_decoder.mechanics.response_table import ResponseTable
@@ -89,8 +89,9 @@ def predicted_shifts(
     force = np.array([state.x[0] for state in states])
     own = [state.place for state in states]
     images = cache.between(points)
-    coupling = interaction_coupling(images, places.own_interaction_px[own])
-    return add_interactions(images, coupling, force, places.softening[own], parts)
+    likeness = interaction_likeness(images, places.shift_px[own, 1])
+    linear = [_linear_px(state) for state in states]
+    return add_interactions(images, likeness, force, places.softening[own], parts, linear)
 
 
 def centre_of(places: ResponseTable, state: ContactState) -> FloatArray:
@@ -126,6 +127,14 @@ def single_contact_shifts(
     slope[0] = ((1.0 + change) * powers).astype(np.float32) @ rows + ratio @ shear
     slope[SHEAR_START:] = f * shear
     return total, slope
+
+
+def _linear_px(state: ContactState) -> FloatArray:
+    """Return the linear shifts (2n,) of a contact by a newton."""
+    weights = _terms(state)[0]
+    ratio = state.x[SHEAR_START:].astype(np.float32)
+    shear = ratio @ (weights @ state.shear.reshape(10, -1)).reshape(2, -1)
+    return np.asarray(weights @ state.tables[:, 0] + shear)
 
 
 def _on_wall(

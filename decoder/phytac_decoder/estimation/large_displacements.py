@@ -13,10 +13,10 @@ import numpy as np
 
 from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.mechanics.interaction_table import (
+    InteractionGrowth,
     InteractionTable,
     add_interactions,
-    interaction_coupling,
-    interaction_growth,
+    interaction_likeness,
 )
 from phytac_decoder.mechanics.membrane_stretching import order_factors
 from phytac_decoder.mechanics.response_table import ResponseTable
@@ -61,6 +61,10 @@ class LargeDisplacements:
         default_factory=dict, init=False, repr=False
     )
 
+    _sets: dict[tuple[int, ...], tuple[FloatArray, FloatArray, FloatArray]] = field(
+        default_factory=dict, init=False, repr=False
+    )
+
     @property
     def largest_N(self) -> float:
         """Largest force of the tables; 0 where that is not known."""
@@ -81,28 +85,53 @@ class LargeDisplacements:
             parts.append((f * powers @ own, ((1.0 + grows) * powers @ own)[None]))
         pairs = self.places.pairs
         if pairs is not None and len(receptors) > 1:
-            images, coupling, size_px = self._interactions(pairs, receptors)
+            images, likeness, size_px = self._interactions(pairs, receptors)
             softening = self.places.softening[self._nearest[receptors]]
-            parts = add_interactions(images, coupling, force, softening, parts, size_px=size_px)
+            parts = add_interactions(
+                images,
+                likeness,
+                force,
+                softening,
+                parts,
+                [own[0] for own in rows],
+                size_px=size_px,
+            )
         linear = np.stack([own[0] for own in rows])
         total = np.sum([shift for shift, _ in parts], axis=0) - force @ linear
         slope = np.concatenate([slope for _, slope in parts]) - linear
         return total, self.softness * slope
 
-    def interactions(self, pair: IntArray, force_N: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return inputs (s, k) N² under forces (s, n), and shifts (k, 2n) px/N², of pairs (2, k).
+    def second_order(self, pair: IntArray, force_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return squares (s, n) of forces (s, n), and products (s, k) of pairs (2, k), N².
 
-        An interaction is the product of both.
+        Grown as the wall softens: shifts of second order are in proportion to them. Each pair has
+        the larger number first.
         """
-        one, other = pair
-        images_px = np.zeros((len(one), self.places.shift_px.shape[2]))
-        coupling = np.zeros(len(one))
+        squares, products = force_N**2, np.zeros((len(force_N), pair.shape[1]))
+        if self.places.pairs is None:
+            return squares, products
+        column = {(one, other): k for k, (one, other) in enumerate(pair.T.tolist())}
+        softening = self.softness * self.places.softening[self._nearest]
+        for sample, force in enumerate(force_N):
+            own = np.flatnonzero(force)
+            if len(own) < 2:
+                continue
+            _, likeness, _ = self._interactions(self.places.pairs, own)
+            grows = InteractionGrowth.of(likeness, softening[own] * force[own])
+            squares[sample, own] *= grows.own
+            two = [(one, other) for i, one in enumerate(own.tolist()) for other in own[:i].tolist()]
+            for both, growth in zip(two, grows.pair.tolist(), strict=True):
+                if both in column:
+                    products[sample, column[both]] = growth * np.prod(force[list(both)])
+        return squares, products
+
+    def interaction_px(self, pair: IntArray) -> FloatArray:
+        """Return shifts (k, 2n) px/N² by interactions of pairs (2, k)."""
+        out = np.zeros((pair.shape[1], self.places.shift_px.shape[2]))
         if self.places.pairs is not None:
-            for k, both in enumerate(pair.T.tolist()):
-                images_px[k], coupling[k], _ = self._interaction(self.places.pairs, *both)
-        lost = self.softness * force_N * self.places.softening[self._nearest]
-        growth, _ = interaction_growth(coupling * (lost[:, one] + lost[:, other]))
-        return force_N[:, one] * force_N[:, other] * growth, self.softness**2 * images_px
+            for row, (one, other) in zip(out, pair.T.tolist(), strict=True):
+                row[:], _, _ = self._interaction(self.places.pairs, one, other)
+        return self.softness**2 * out
 
     def solve(
         self,
@@ -153,28 +182,36 @@ class LargeDisplacements:
     def _interactions(
         self, pairs: InteractionTable, receptors: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return images (k, 2n), coupling (k,) and size (k,) as :func:`add_interactions`."""
-        ids = receptors.tolist()
-        two = [(one, other) for i, one in enumerate(ids) for other in ids[:i]]
-        found = [self._interaction(pairs, one, other) for one, other in two]
-        rows, coupling, size_px = zip(*found, strict=True)
-        return np.stack(rows), np.array(coupling), np.array(size_px)
+        """Return images (k, 2n), likeness (c, c) and size (k,) as :func:`add_interactions`."""
+        ids = tuple(receptors.tolist())
+        known = self._sets.get(ids)
+        if known is None:
+            two = [(one, other) for i, one in enumerate(ids) for other in ids[:i]]
+            found = [self._interaction(pairs, one, other) for one, other in two]
+            rows, alike, size_px = zip(*found, strict=True)
+            likeness = np.eye(len(ids))
+            i, k = np.tril_indices(len(ids), -1)
+            likeness[i, k] = likeness[k, i] = alike
+            # Those of the last frame: they are the same in each iteration, and mostly in the next.
+            self._sets.clear()
+            known = self._sets[ids] = np.stack(rows), likeness, np.array(size_px)
+        return known
 
     def _interaction(
         self, pairs: InteractionTable, one: int, other: int
     ) -> tuple[FloatArray, float, float]:
-        """Return image (2n,), coupling, and size of the image by the tables, of two receptors."""
+        """Return image (2n,), likeness, and size of the image by the tables, of two receptors."""
         known = self._pairs.get((one, other))
         if known is None:
             both = [one, other]
             (row,) = pairs.between(self.position_mm[both])
-            own_px = self.places.own_interaction_px[self._nearest[both]]
-            (coupling,) = interaction_coupling(row[None], own_px)
+            square_px = self.places.shift_px[self._nearest[both], 1]
+            likeness = float(interaction_likeness(row[None], square_px)[1, 0])
             size_px, row = float(np.linalg.norm(row)), row.astype(np.float64)
             if self.measured:
                 more = self.measured.pairs.get((max(both), min(both)), 0.0)
                 row += more / self.softness**2
             if len(self._pairs) >= PAIRS_KEPT:
                 self._pairs.pop(next(iter(self._pairs)), None)
-            known = self._pairs[one, other] = row, float(coupling), size_px
+            known = self._pairs[one, other] = row, likeness, size_px
         return known

@@ -4,16 +4,19 @@ Koiter's second-order term of several forces contains f²·S₂ of each and a mi
 
     d ⊃ f₁·f₂·M(place₁, place₂)
 
-since the stress and rotation of one contact stiffen or soften the wall for the other. Two strong
-contacts close to each other bring a curved wall nearer to buckling than either alone, and the
-interaction is larger than the second-order term by ::
+since the stress and rotation of one contact stiffen or soften the wall for the other. Strong
+contacts bring a curved wall nearer to buckling together than each does alone. With the share a of
+the stiffness that a newton takes away at each place (:attr:`ResponseTable.softening`), the contacts
+leave at place i ::
 
-    1 / (1 - (0.4 + 0.9·ρ)·(a₁·f₁ + a₂·f₂))
+    1 - λᵢ    λᵢ = Σₖ ρᵢₖ·aₖ·fₖ
 
-with the shares a of the stiffness that a newton takes away at each place
-(:attr:`ResponseTable.softening`), and ρ the size of M over the geometric mean of those at each
-place. The two numbers are chosen by solutions with large displacements on ``cylinder60``: 25 N on
-each of two discs, 8 to 45 mm apart, interact 1.4 to 4.3 times as much as by the second-order term.
+of it, where ρᵢₖ says how far M of two places is that of two contacts on one place: 1 there, less
+further away, and negative where they stiffen the wall for each other. What a contact does beyond
+linear shifts is as 1 / (1 - λᵢ) in place of 1 / (1 - aᵢ·fᵢ), and an interaction as that of the mean
+of both λ (derived here: exact where all contacts are on one place). By solutions with large
+displacements on ``cylinder60`` with two to five discs of 12 to 25 N, 8 to 45 mm apart.
+
 Most of M, over all places, lies in a space of some dozen dimensions: tabulated are the axes of that
 space, and the coordinates of M over pairs of places.
 """
@@ -31,11 +34,8 @@ from phytac_shapes.arrays import FloatArray
 SHARE_MAX = 0.3
 """Largest interaction of second order over the shifts of each contact alone, before it grows: the
 tables do not hold for contacts that nearly coincide."""
-COUPLING = (0.4, 0.9)
-"""Weight of softening in an interaction: where two contacts hardly interact, and what is added
-times ρ."""
 STIFFNESS_MIN = 0.2
-"""Share of the stiffness that two contacts leave, at least, in the growth of their interaction."""
+"""Share of the stiffness that contacts leave, at least, in how nonlinear shifts grow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,39 +114,68 @@ class InteractionCache:
         return self._images
 
 
-def interaction_coupling(
-    images: NDArray[np.float32] | FloatArray, own_px: FloatArray
+def interaction_likeness(
+    images: NDArray[np.float32] | FloatArray, square_px: NDArray[np.float32] | FloatArray
 ) -> FloatArray:
-    """Return the weight (k,) of softening in the interaction of each two contacts.
+    """Return ρ (c, c) of each two contacts; 1 of each with itself, and -1 at least.
 
     Parameters
     ----------
     images : (k, 2n) float
         M px/N² of each two, by the tables.
-    own_px : (c,) float
-        Size of the interaction of two contacts on the place of each, px/N².
+    square_px : (c, 2n) float
+        S₂ at the place of each contact, px/N²: half of M of two contacts there.
     """
-    i, k = np.array(_each_two(len(own_px))).T
-    size = np.linalg.norm(images, axis=1)
-    alike = size / np.maximum(np.sqrt(own_px[i] * own_px[k]), 1e-300)
-    return np.asarray(COUPLING[0] + COUPLING[1] * np.minimum(alike, 1.0))
+    out = np.eye(len(square_px))
+    i, k = np.array(_each_two(len(square_px))).T
+    size = np.sqrt(np.einsum("cn,cn->c", square_px, square_px))
+    mean = square_px[i] + square_px[k]
+    length = np.sqrt(np.einsum("kn,kn->k", mean, mean))
+    along = np.einsum("kn,kn->k", images, mean) / np.maximum(length, 1e-300)
+    own_px = 2.0 * np.sqrt(size[i] * size[k])
+    out[i, k] = out[k, i] = np.clip(along / np.maximum(own_px, 1e-300), -1.0, 1.0)
+    return out
 
 
-def interaction_growth(lost: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return factors on interactions of second order, and the derivatives of their logarithms.
+@dataclass(frozen=True, kw_only=True)
+class InteractionGrowth:
+    """Growth of nonlinear shifts by the stiffness that c contacts take away together.
 
-    By the shares of the stiffness that each two contacts take away together.
+    Attributes
+    ----------
+    own, by_own : (c,), (c, c) float
+        Factors on the nonlinear shifts of each contact, and their derivatives by the share of the
+        stiffness that each takes away.
+    pair, by_pair : (k,), (k, c) float
+        The same of each two.
     """
-    growth = 1.0 / np.maximum(1.0 - lost, STIFFNESS_MIN)
-    return growth, np.where(1.0 - lost > STIFFNESS_MIN, growth, 0.0)
+
+    own: FloatArray
+    by_own: FloatArray
+    pair: FloatArray
+    by_pair: FloatArray
+
+    @classmethod
+    def of(cls, likeness: FloatArray, lost: FloatArray) -> "InteractionGrowth":
+        """Growth by :func:`interaction_likeness` and the shares (c,) that each takes away."""
+        i, k = np.array(_each_two(len(lost))).T
+        left, alone = 1.0 - likeness @ lost, np.maximum(1.0 - lost, STIFFNESS_MIN)
+        both, slope = 0.5 * (left[i] + left[k]), 0.5 * (likeness[i] + likeness[k])
+        own = alone / np.maximum(left, STIFFNESS_MIN)
+        by_own = (np.where(left > STIFFNESS_MIN, own**2 / alone, 0.0))[:, None] * likeness
+        by_own -= np.diag(np.where(alone > STIFFNESS_MIN, own / alone, 0.0))
+        pair = 1.0 / np.maximum(both, STIFFNESS_MIN)
+        by_pair = np.where(both > STIFFNESS_MIN, pair**2, 0.0)[:, None] * slope
+        return cls(own=own, by_own=by_own, pair=pair, by_pair=by_pair)
 
 
 def add_interactions(
     images: NDArray[np.float32] | FloatArray,
-    coupling: FloatArray,
+    likeness: FloatArray,
     force_N: FloatArray,
     softening: FloatArray,
     parts: Sequence[tuple[FloatArray, FloatArray]],
+    linear_px: Sequence[FloatArray],
     *,
     size_px: FloatArray | None = None,
 ) -> list[tuple[FloatArray, FloatArray]]:
@@ -156,34 +185,42 @@ def add_interactions(
     ----------
     images : (k, 2n) float
         M px/N² of each two, see :meth:`InteractionTable.between`.
-    coupling : (k,) float
-        See :func:`interaction_coupling`.
+    likeness : (c, c) float
+        See :func:`interaction_likeness`.
     force_N, softening : (c,) float
         Forces of the contacts, and the share of the stiffness that a newton of each takes away.
     parts : sequence of ((2n,), (u, 2n)) float
         Shifts of each, and their slopes by its unknowns, of which the first is the force; the
-        slopes are changed. They leave out the small change of M with the places.
+        slopes are changed. They leave out the small change of M with the places, and of what grows.
+    linear_px : sequence of (2n,) float
+        Linear shifts of each by a newton.
     size_px : (k,) float, optional
         Size of M by the tables, which :data:`SHARE_MAX` is about; that of the images by default.
     """
+    count = len(parts)
     size = np.array([np.linalg.norm(total) for total, _ in parts])
     # Strictly below the diagonal, row by row, as the images.
-    i, k = np.array(_each_two(len(parts))).T
+    i, k = np.array(_each_two(count)).T
+    pair, own = np.arange(len(images)), np.arange(count)
     both = force_N[i] * force_N[k]
     much = both * (np.linalg.norm(images, axis=1) if size_px is None else size_px)
     share = np.minimum(1.0, SHARE_MAX * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300))
-    lost = softening * force_N
-    growth, steepness = interaction_growth(coupling * (lost[i] + lost[k]))
-    steepness = coupling * steepness
-    share *= growth
-    of, pair = np.zeros((2, len(parts), len(images))), np.arange(len(images))
-    of[0, i, pair] = of[0, k, pair] = 0.5 * both * share
-    of[1, i, pair] = force_N[k] * share * (1.0 + lost[i] * steepness)
-    of[1, k, pair] = force_N[i] * share * (1.0 + lost[k] * steepness)
-    more = (of.astype(np.float32).reshape(-1, len(images)) @ images).reshape(2, len(parts), -1)
+    grows = InteractionGrowth.of(likeness, softening * force_N)
+    rows = [total - f * row for (total, _), f, row in zip(parts, force_N, linear_px, strict=True)]
+    rows += [slope[0] - row for (_, slope), row in zip(parts, linear_px, strict=True)]
+    of = np.zeros((2, count, 2 * count + len(images)))
+    of[0, own, own] = of[1, own, count + own] = grows.own - 1.0
+    of[1, :, :count] = (grows.by_own * softening).T
+    at = of[:, :, 2 * count :]
+    at[0, i, pair] = at[0, k, pair] = 0.5 * both * share * grows.pair
+    at[1] = ((both * share)[:, None] * grows.by_pair * softening).T
+    at[1, i, pair] += force_N[k] * share * grows.pair
+    at[1, k, pair] += force_N[i] * share * grows.pair
+    stack = np.concatenate([np.array(rows, dtype=images.dtype), images])
+    more = of.reshape(2 * count, -1).astype(images.dtype) @ stack
     out = []
-    for (total, slope), add, grows in zip(parts, *more, strict=True):
-        slope[0] += grows
+    for (total, slope), add, steeper in zip(parts, *more.reshape(2, count, -1), strict=True):
+        slope[0] += steeper
         out.append((total + add, slope))
     return out
 

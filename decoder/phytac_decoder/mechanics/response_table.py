@@ -104,13 +104,6 @@ class ResponseTable:
         return np.asarray((growth - 1.0) / (growth - 0.5) / self.top_N)
 
     @cached_property
-    def own_interaction_px(self) -> FloatArray:
-        """Size (p,) of the interaction of two contacts on the same place, px/N²."""
-        if self.orders < 2:
-            return np.zeros(len(self.point_mm))
-        return np.asarray(2.0 * np.linalg.norm(self.shift_px[:, 1], axis=1))
-
-    @cached_property
     def spacing_mm(self) -> float:
         """Median distance from a place to the nearest other."""
         near, _ = self.fits
