@@ -38,7 +38,7 @@ class InteractionSettings:
     """Distance of places over the disc's radius."""
     places_max: int = 250
     """Places at most: tables grow by their square."""
-    pairs_per_axis: int = 6
+    pairs_per_axis: int = 3
     """Pairs drawn at random, for each axis."""
     near_radii: float = 6.0
     """Distance over the disc's radius up to which pairs count as near."""
@@ -50,7 +50,7 @@ class InteractionSettings:
     """Shells of more have no such tables: time and memory grow with both."""
     elements_kept: int = 6000
     """Shells of more get third derivatives twice: they take 80 kB an element."""
-    axes_max: int = 64
+    axes_max: int = 128
     """Of the images, at most."""
     difference_step: float = 1e-2
     """Motion (mm and rad) of the differences for the image's bend."""

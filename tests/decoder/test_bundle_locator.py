@@ -28,6 +28,7 @@ def bundle() -> Bundle:
     rng = np.random.default_rng(0)
     points = plain.position_mm
     ones = np.ones((len(points), 1))
+    both_ways = rng.normal(size=(9, 9, 4))
     locator = ContactLocator(
         places=ResponseTable(
             point_mm=points,
@@ -40,7 +41,7 @@ def bundle() -> Bundle:
                     point_mm=points[:9],
                     along=ones[:9] * [0.0, 1.0, 0.0],
                     around=ones[:9] * [-1.0, 0.0, 0.0],
-                    shift_px=1e-3 * rng.normal(size=(9, 9, 4)).astype(np.float32),
+                    shift_px=1e-3 * (both_ways + both_ways.swapaxes(0, 1)).astype(np.float32),
                     radius_mm=4.0,
                 ),
                 axes_px=rng.normal(size=(4, 2 * count)).astype(np.float32),
@@ -214,7 +215,7 @@ def test_tables_of_pairs_of_older_bundles_are_passed_over(tmp_path: Path) -> Non
     save_bundle(bundle(), tmp_path)
     path = tmp_path / "bundle.safetensors"
     arrays = {name: value.copy() for name, value in load_file(path).items()}
-    del arrays["places.pair_axes_px"], arrays["places.pair_coordinates"]
+    del arrays["places.pair_axes_px"], arrays["places.pair_triangle"]
     arrays["places.pair_rows"] = np.zeros((9, 4, 9), dtype=np.float32)
     save_file(arrays, path)
     meta = json.loads((tmp_path / "bundle.json").read_text())
@@ -224,6 +225,25 @@ def test_tables_of_pairs_of_older_bundles_are_passed_over(tmp_path: Path) -> Non
     assert locator is not None
     assert locator.places.pairs is None
     assert locator.places.walls is not None
+
+
+def test_pairs_of_older_bundles_were_stored_both_ways(tmp_path: Path) -> None:
+    save_bundle(bundle(), tmp_path)
+    wanted = load_bundle(tmp_path).model.locator
+    path = tmp_path / "bundle.safetensors"
+    arrays = {name: value.copy() for name, value in load_file(path).items()}
+    assert wanted is not None
+    assert wanted.places.pairs is not None
+    rows = wanted.places.pairs.grid.shift_px
+    assert arrays.pop("places.pair_triangle").shape == (45, 4)
+    save_file(arrays | {"places.pair_coordinates": rows}, path)
+    meta = json.loads((tmp_path / "bundle.json").read_text())
+    del meta["arrays_sha256"]
+    (tmp_path / "bundle.json").write_text(json.dumps(meta | {"schema_version": "1.22"}))
+    old = load_bundle(tmp_path).model.locator
+    assert old is not None
+    assert old.places.pairs is not None
+    np.testing.assert_array_equal(old.places.pairs.grid.shift_px, rows)
 
 
 def test_bundle_without_it_raises(tmp_path: Path) -> None:
@@ -256,16 +276,21 @@ def _unlearnt(arrays: dict[str, Any]) -> None:
 
 
 def _pairs_cut(arrays: dict[str, Any]) -> None:
-    rows = arrays["places.pair_coordinates"]
-    arrays["places.pair_coordinates"] = np.ascontiguousarray(rows[:, :, :-1])
+    rows = arrays["places.pair_triangle"]
+    arrays["places.pair_triangle"] = np.ascontiguousarray(rows[:, :-1])
+
+
+def _pairs_fewer(arrays: dict[str, Any]) -> None:
+    rows = arrays["places.pair_triangle"]
+    arrays["places.pair_triangle"] = np.ascontiguousarray(rows[:-1])
 
 
 def _pairs_nan(arrays: dict[str, Any]) -> None:
-    arrays["places.pair_coordinates"][3, 1, 2] = np.nan
+    arrays["places.pair_triangle"][3, 2] = np.nan
 
 
 def _pairs_gone(arrays: dict[str, Any]) -> None:
-    del arrays["places.pair_coordinates"]
+    del arrays["places.pair_triangle"]
 
 
 def _axes_gone(arrays: dict[str, Any]) -> None:
@@ -330,6 +355,7 @@ def _few(arrays: dict[str, Any]) -> None:
         (_noise_cut, "bundle-array-shape"),
         (_noise_none, "bundle-value-invalid"),
         (_pairs_cut, "bundle-array-shape"),
+        (_pairs_fewer, "bundle-array-shape"),
         (_pairs_nan, "bundle-not-finite"),
         (_pairs_gone, "bundle-array-missing"),
         (_axes_gone, "bundle-array-missing"),

@@ -60,7 +60,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 22), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 23), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phytac_decoder.estimation.contact_fit import ContactPrior, PredictedNoise, ShiftNoise
 from phytac_decoder.estimation.force_correction import LEGACY_LENGTHS, ForceCorrection
@@ -25,7 +26,7 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     "shift_px": ("places", "orders", "2n"),
     **dict.fromkeys((PAIR + name for name in FRAME), ("pairs", 3)),
     PAIR + "axes_px": ("axes", "2n"),
-    PAIR + "coordinates": ("pairs", "pairs", "axes"),
+    PAIR + "triangle": ("triangle", "axes"),
     WALL + "number": ("places",),
     WALL + "slopes": ("places", "powers", "modes"),
     WALL + "most": (1,),
@@ -80,7 +81,10 @@ def response_arrays(places: ResponseTable) -> dict[str, Any]:
     if places.shear is not None:
         arrays |= _grid_arrays(places.shear, SHEAR, "shift_px")
     if places.pairs is not None:
-        arrays |= _grid_arrays(places.pairs.grid, PAIR, "coordinates")
+        grid = places.pairs.grid
+        arrays |= {PAIR + name: getattr(grid, name) for name in FRAME}
+        # An interaction is the same both ways.
+        arrays[PAIR + "triangle"] = grid.shift_px[np.tril_indices(len(grid.shift_px))]
         arrays[PAIR + "axes_px"] = places.pairs.axes_px
     if places.walls is not None:
         walls = places.walls
@@ -111,15 +115,15 @@ def response_from_arrays(
         Largest tabulated force.
     """
 
-    def grid(prefix: str, rows: str, **others: Any) -> ResponseTable:
+    def grid(prefix: str, shift_px: NDArray[np.float32], **others: Any) -> ResponseTable:
         frame = {name: arrays[prefix + name] for name in FRAME}
-        shift_px = arrays[prefix + rows]
         return ResponseTable(**frame, shift_px=shift_px, radius_mm=radius_mm, top_N=top_N, **others)
 
     pairs, walls = None, None
     # Up to schema 1.9 the interactions were stored by rows, which this version does not use.
-    if PAIR + "coordinates" in arrays:
-        pairs = InteractionTable(grid=grid(PAIR, "coordinates"), axes_px=arrays[PAIR + "axes_px"])
+    if PAIR + "axes_px" in arrays:
+        rows = _both_ways(arrays, len(arrays[PAIR + "point_mm"]))
+        pairs = InteractionTable(grid=grid(PAIR, rows), axes_px=arrays[PAIR + "axes_px"])
     if WALL + "slopes" in arrays:
         walls = BergerWall(
             wall=arrays[WALL + "number"],
@@ -127,8 +131,17 @@ def response_from_arrays(
             most=float(arrays[WALL + "most"][0]),
         )
     # Up to schema 1.13 there was no force along the surface.
-    shear = grid(SHEAR, "shift_px") if SHEAR + "shift_px" in arrays else None
-    return grid("", "shift_px", pairs=pairs, walls=walls, shear=shear)
+    shear = grid(SHEAR, arrays[SHEAR + "shift_px"]) if SHEAR + "shift_px" in arrays else None
+    return grid("", arrays["shift_px"], pairs=pairs, walls=walls, shear=shear)
+
+
+def _both_ways(arrays: Mapping[str, Any], places: int) -> NDArray[np.float32]:
+    """Return the coordinates (p, p, r) of interactions over pairs of places."""
+    triangle = arrays[PAIR + "triangle"]
+    out = np.empty((places, places, triangle.shape[1]), dtype=np.float32)
+    one, other = np.tril_indices(places)
+    out[one, other] = out[other, one] = triangle
+    return out
 
 
 def locator_from(
@@ -157,6 +170,9 @@ def locator_from(
     }
     if PAIR + "rows" in own:  # schema 1.9 and before, see response_from_arrays
         own = {name: value for name, value in own.items() if not name.startswith(PAIR)}
+    if PAIR + "coordinates" in own:  # Up to schema 1.22 they were stored both ways.
+        rows = own.pop(PAIR + "coordinates")
+        own[PAIR + "triangle"] = rows[np.tril_indices(len(rows))]
     _check(own, 2 * len(position_mm), fitted="learnt" in table, folder=folder)
     correction = None
     if "learnt" in table:
@@ -227,7 +243,7 @@ def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) 
     shapes = {name: shape for name, shape in SHAPES.items() if not name.startswith(tuple(absent))}
     sizes = {"2n": columns}
     kinds = dict.fromkeys(
-        ("shift_px", SHEAR + "shift_px", PAIR + "coordinates", PAIR + "axes_px", WALL + "slopes"),
+        ("shift_px", SHEAR + "shift_px", PAIR + "triangle", PAIR + "axes_px", WALL + "slopes"),
         np.float32,
     ) | {WALL + "number": np.int64}
     check_arrays(own, shapes, sizes, where=where, kinds=kinds, prefix=PREFIX)
@@ -235,6 +251,13 @@ def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) 
         raise InputError(
             "bundle-array-shape",
             f"{where}: {PREFIX}point_mm has {sizes['places']} places; rebuild the decoder",
+        )
+    pairs = sizes.get("pairs", 0)
+    if sizes.get("triangle", 0) != pairs * (pairs + 1) // 2:
+        raise InputError(
+            "bundle-array-shape",
+            f"{where}: {PREFIX}{PAIR}triangle has {sizes['triangle']} rows, and {pairs} places "
+            f"have {pairs * (pairs + 1) // 2} pairs; the arrays are of different builds",
         )
     # Powers of v from 0; all but the first have rows in shift_px.
     if not 1 < sizes.get("powers", 2) <= max(sizes["orders"], 2):

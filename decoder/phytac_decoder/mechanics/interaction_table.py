@@ -17,8 +17,8 @@ linear shifts is as 1 / (1 - λᵢ) in place of 1 / (1 - aᵢ·fᵢ), and an int
 of both λ (derived here: exact where all contacts are on one place). By solutions with large
 displacements on ``cylinder60`` with two to five discs of 12 to 25 N, 8 to 45 mm apart.
 
-Most of M, over all places, lies in a space of some dozen dimensions: tabulated are the axes of that
-space, and the coordinates of M over pairs of places.
+Most of M, over all places, lies in a space of some hundred dimensions: tabulated are the axes of
+that space, and the coordinates of M over pairs of places.
 """
 
 from collections.abc import Sequence
@@ -75,7 +75,7 @@ class InteractionTable:
         """Return coordinates (q, q·r) of M over the places around two places."""
         block = self._blocks.get((one, other))
         if block is None:
-            # 128 blocks, of 100 kB each for cylinder60.
+            # 128 blocks, of 200 kB each for cylinder60.
             if len(self._blocks) >= 128:
                 del self._blocks[next(iter(self._blocks))]
             near, _ = self.grid.fits
