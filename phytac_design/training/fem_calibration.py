@@ -174,13 +174,13 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
     size = np.hypot(design[:, 0], design[:, 1])
     residual = shift - np.einsum("sk,nik->sni", force, design)
     columns = _Terms(inputs=force[:, marker], sd_px=column_sd * size[:, marker])
+    for sample, each in enumerate(force):
+        own = np.flatnonzero(each)
+        residual[sample] -= model.beyond_linear_px(each[own], own).reshape(count, 2)
+        residual[sample, model.misread(shift[sample], own, each[own])] = np.nan
     terms, pair = [columns], np.zeros((2, 0), dtype=np.int64)
     large = model.large_displacements
     if large:
-        for sample, each in enumerate(force):
-            own = np.flatnonzero(each)
-            more_px, _ = large.shifts(own, each[own])
-            residual[sample] -= more_px.reshape(count, 2)
         # Weak presses alone do not say how far off a strong one would be.
         most_N = max(float(force.max()), large.largest_N)
         if large.places.pairs:

@@ -1,10 +1,14 @@
 """The compliance inverse, of markers that are seen and others that are not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from phytac_decoder.camera.camera_motion import CameraMotion
 from phytac_decoder.estimation.estimators import KEPT_RESULTS, ForceModel
+from phytac_shapes.arrays import FloatArray, IntArray
 
 COUNT = 40
 
@@ -40,6 +44,57 @@ def test_forces_are_the_least_squares_over_what_is_seen(hidden: tuple[int, ...])
     np.testing.assert_allclose(found[koi], right, rtol=1e-6, atol=1e-9)
     assert np.count_nonzero(found) <= len(koi)
     np.testing.assert_array_equal(shift, given)
+
+
+def noisy(forces: ForceModel, koi: IntArray, force_N: FloatArray) -> FloatArray:
+    """Shifts (n, 2) px with noise."""
+    moved = (forces.compliance_px[:, koi] @ force_N).reshape(COUNT, 2)
+    return np.asarray(moved + np.random.default_rng(3).normal(0.0, 0.03, (COUNT, 2)))
+
+
+@pytest.mark.parametrize("misread", [(13,), (2, 13, 28)])
+def test_markers_that_were_misread_are_left_out(misread: tuple[int, ...]) -> None:
+    forces, koi, force_N = model(), np.array([4, 11, 31]), np.array([3.0, 2.0, 4.0])
+    shift = noisy(forces, koi, force_N)
+    clean = forces.forces("koi_inverse", shift, koi)
+    np.testing.assert_allclose(clean[koi], force_N, atol=0.05)
+    shift[list(misread)] += [9.0, -6.0]
+    found = forces.forces("koi_inverse", shift, koi)
+    np.testing.assert_allclose(found, clean, atol=0.03)
+    shift[list(misread)] = np.nan
+    np.testing.assert_array_equal(found, model().forces("koi_inverse", shift, koi))
+    # Without that, one of them changes a force by a tenth.
+    shift[list(misread)] = [9.0, -6.0]
+    assert np.abs(model()._least_squares(shift, koi, 0.0) / clean[koi] - 1.0).max() > 0.1
+
+
+@pytest.mark.parametrize("wrong", [(28, 20, 21, 24), (31,)], ids=["many", "a key node"])
+def test_what_is_not_modelled_is_not_left_out(wrong: tuple[int, ...]) -> None:
+    """More than a few markers are something that presses; a contact dents the wall under itself."""
+    forces, koi = model(), np.array([4, 11, 31])
+    shift = noisy(forces, koi, np.array([3.0, 2.0, 4.0]))
+    shift[list(wrong)] += [9.0, -6.0]
+    found = forces.forces("koi_inverse", shift, koi)
+    np.testing.assert_array_equal(found[koi], forces._least_squares(shift, koi, 0.0))
+
+
+def test_a_motion_of_the_cameras_is_not_misread() -> None:
+    """By it the last three markers are farther off than noise."""
+    first = np.zeros((1, 2 * COUNT))
+    first[0, ::2] = np.linspace(0.0, 0.66, COUNT)
+    motion = CameraMotion(
+        first=first,
+        second=np.zeros((0, 2 * COUNT), dtype=np.float32),
+        pair=np.zeros((2, 0), dtype=np.int64),
+        sd=np.ones(1),
+    )
+    moving, koi = replace(model(), camera_motion=motion), np.array([4, 11, 25])
+    shift = noisy(moving, koi, np.array([3.0, 2.0, 4.0])) + first.reshape(COUNT, 2)
+    found = moving.forces("koi_inverse", shift, koi)
+    np.testing.assert_allclose(found[koi], [3.0, 2.0, 4.0], atol=0.1)
+    np.testing.assert_array_equal(found[koi], moving._least_squares(shift, koi, 0.0))
+    still = (moving.compliance_px[:, koi] @ found[koi]).reshape(COUNT, 2)
+    assert np.count_nonzero(moving.unexplained(shift - still, still)) in range(1, 4)
 
 
 def test_results_of_a_frame_are_kept_and_belong_to_those_who_ask() -> None:

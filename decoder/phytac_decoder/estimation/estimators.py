@@ -13,7 +13,7 @@ from phytac_decoder.estimation.large_displacements import LargeDisplacements
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
-from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
 ESTIMATORS = ("fem", "fem_nn", "fem_nn_identity", "koi_inverse", "auto")
@@ -25,6 +25,14 @@ tip covers paint, by 0.13 px more or less on another print than is predicted, an
 under the contact itself."""
 NOISE_LEAST_px = 0.01
 """Noise of shifts against which that is weighed, at least."""
+MISREAD_NOISES, MISREAD_SHARE = 10.7, 0.2
+"""A marker's shift is not explained beyond so many standard deviations of noise, and this share of
+the predicted shift around it."""
+BEYOND_LINEAR_SHARE = 0.4
+"""The same share of what large displacements add."""
+MISREAD_MAX = 3
+"""Number of such markers up to which they are taken as misread, and left out: another marker, or a
+highlight, was taken for them. More are something that is not modelled."""
 KEPT_RESULTS = 6
 """Latest results that are kept: forces and motion of the cameras in one frame are asked for several
 times, with the shifts as measured and without that motion."""
@@ -254,17 +262,22 @@ class ForceModel:
 
     def motion(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Return the motion (q,) of the cameras since the rest frame, as ``koi_inverse`` has it."""
-        moving = self.camera_motion
-        if moving is None:
+        if self.camera_motion is None:
             return np.zeros(0)
 
         def estimated() -> FloatArray:
             d, force = shift_px.reshape(-1), self._inverse(shift_px, koi)
             pressed = force @ self.patterns[0][koi] + self.beyond_linear_px(force, koi)
-            free = moving.masked(np.isfinite(d))
-            return free.estimate(np.nan_to_num(d - pressed), self.noise_px)
+            return self._motion_behind(d - pressed)
 
         return self._once("motion", shift_px, koi, estimated)
+
+    def _motion_behind(self, off_px: FloatArray) -> FloatArray:
+        """Return the motion (q,) of the cameras behind shifts (2n,) that forces do not explain."""
+        if self.camera_motion is None:
+            return np.zeros(0)
+        free = self.camera_motion.masked(np.isfinite(off_px))
+        return free.estimate(np.nan_to_num(off_px), self.noise_px)
 
     def _once(
         self, name: str, shift_px: FloatArray, koi: IntArray, work: Callable[[], FloatArray]
@@ -319,13 +332,50 @@ class ForceModel:
         """Return the least-squares solution f >= 0 of d = C(:, KOI)·f over all found markers.
 
         Large displacements are added to C·f. Motion of the cameras is left free, within its prior.
+        Few markers that the forces do not explain are left out.
         Key nodes' own shifts may have another standard deviation beside the noise.
         """
         return self._once(
             f"inverse {tip_sd_px}", shift_px, koi, lambda: self._solved(shift_px, koi, tip_sd_px)
         )
 
+    def unexplained(
+        self, off_px: FloatArray, motion_px: FloatArray, share: float = MISREAD_SHARE
+    ) -> BoolArray:
+        """Return markers (n,) that are off predicted shifts (n, 2) by more than is usual."""
+        usual = np.hypot(*motion_px.T)[self._near].max(axis=0)
+        # A marker that was not found is not off.
+        limit = MISREAD_NOISES * self.noise_px + share * usual
+        return np.asarray(np.hypot(*off_px.T) > limit)
+
+    @cached_property
+    def _near(self) -> IntArray:
+        """Neighbours (9, n) of each marker, and itself."""
+        own = np.arange(len(self.neighbours))
+        near = np.where(self.neighbours >= 0, self.neighbours, own[:, None])
+        return np.ascontiguousarray(np.column_stack([own, near]).T)
+
+    def misread(self, shift_px: FloatArray, koi: IntArray, force_N: FloatArray) -> BoolArray:
+        """Return markers (n,) other than key nodes that forces on these do not explain, if few."""
+        motion_px = (force_N @ self.patterns[0][koi]).reshape(-1, 2)
+        # In most frames linear shifts explain all markers well enough.
+        out = self.unexplained(shift_px - motion_px, motion_px, MISREAD_SHARE + BEYOND_LINEAR_SHARE)
+        if out.any():
+            motion_px = motion_px + self.beyond_linear_px(force_N, koi).reshape(-1, 2)
+            off_px = shift_px - motion_px
+            off_px = self.without_motion(off_px, self._motion_behind(off_px.reshape(-1)))
+            out = self.unexplained(off_px, motion_px)
+            out[koi] = False
+        return out & (np.count_nonzero(out) <= MISREAD_MAX)
+
     def _solved(self, shift_px: FloatArray, koi: IntArray, tip_sd_px: float) -> FloatArray:
+        force = self._least_squares(shift_px, koi, tip_sd_px)
+        misread = self.misread(shift_px, koi, force)
+        if not misread.any():
+            return force
+        return self._least_squares(np.where(misread[:, None], np.nan, shift_px), koi, tip_sd_px)
+
+    def _least_squares(self, shift_px: FloatArray, koi: IntArray, tip_sd_px: float) -> FloatArray:
         rows, d = self.patterns[0][koi], shift_px.reshape(-1)
         found = np.isfinite(d)
         root = found.astype(np.float64)

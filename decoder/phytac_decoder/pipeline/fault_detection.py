@@ -31,10 +31,6 @@ class FaultSettings:
     force, and the force of so many standard deviations of centroid noise, …"""
     beside_share: float = 0.25
     """… and next to switches that are on, this share of their force."""
-    outlier_noises: float = 15.0
-    outlier_share: float = 0.2
-    """A marker is an outlier beyond so many standard deviations of noise, and this share of the
-    predicted shift around it."""
     blind_thresholds: float = 4.0
     blind_share: float = 0.3
     """A marker with an unreadable switch is pressed beyond the shift by so many thresholds, and
@@ -168,11 +164,8 @@ class FaultDetector:
         allowed = self.around(self.koi) if len(self.koi) else self.koi
         forces = self.forces_on(allowed)
         motion = (forces @ self._rows[allowed]).reshape(-1, 2)
-        size = np.linalg.norm(motion, axis=1)
-        off = np.linalg.norm(self._shift - motion, axis=1)
-        usual = SETTINGS.outlier_share * size[self._near].max(axis=1, initial=0.0)
+        outlier = model.unexplained(self._shift - motion, motion)
         noise = bundle.noise_centroid_px
-        outlier = off > SETTINGS.outlier_noises * noise + usual
         own = np.maximum(self._gram.diagonal(), 1e-300)
         as_force = (self._right - forces @ self._gram[allowed]) / own
         limit = (
