@@ -21,6 +21,7 @@ from phytac_design.stages.decoder_stage import assemble_bundle, untrained_model
 from phytac_design.training.evaluation.contact_scores import Bootstrap, interval_coverage
 from phytac_design.training.evaluation.decoded_contacts import DecodedContacts, decode_contacts
 from phytac_design.training.evaluation.groups import Groups, contact_positions, groups_of
+from phytac_design.training.fem_calibration import ReceptorSolver
 from phytac_design.training.trainers import TRAINERS, TrainingTask
 from phytac_design.training.training_data import DataSet, split_data_sets
 from phytac_design.workflows.train_decoder import MECHANICS
@@ -55,8 +56,11 @@ def train_decoder(
     names: Sequence[str] = TRAINED,
     start: Bundle | None = None,
     seed: int = 0,
+    receptors: ReceptorSolver | None = None,
 ) -> tuple[Bundle, dict[str, dict[str, Any]]]:
     """Decoder that learnt from data: the trainers of ``phytac train``, its split 8.5 : 0.5 : 1.
+
+    Without ``receptors`` large displacements are those of the tables.
 
     Returns
     -------
@@ -78,6 +82,7 @@ def train_decoder(
             test=parts[2],
             seed=seed,
             start=start if start is not None and name in start.model.networks else None,
+            receptors=receptors,
         )
         model, found = trainer(task)
         bundle = replace(bundle, model=model)

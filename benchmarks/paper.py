@@ -33,6 +33,8 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_design.datasets.samples import Samples
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import load_design
+from phytac_design.engine.stage import Context
+from phytac_design.stages.places_stage import receptor_table_of
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
 from phytac_design.training.join_datasets import join_samples, select_samples
 from phytac_design.training.training_data import split_data_sets
@@ -90,11 +92,17 @@ def scores(model: ForceModel, samples: Samples, names: tuple[str, ...]) -> dict[
 
 
 @cache
-def _by_design(*, quick: bool) -> Bundle:
-    """Decoder that has learnt nothing."""
+def _mechanics(*, quick: bool) -> Context:
+    """Stages that the decoder is made from."""
     design = small_design() if quick else load_design("cylinder60")
     accuracy: Preset = "draft" if quick else "standard"
-    return by_design(mechanics(design, accuracy))
+    return mechanics(design, accuracy)
+
+
+@cache
+def _by_design(*, quick: bool) -> Bundle:
+    """Decoder that has learnt nothing."""
+    return by_design(_mechanics(quick=quick))
 
 
 def _spec(
@@ -146,7 +154,8 @@ def _rows_of_print(
     samples, meta = data_set(spec.name, spec.job)
     whole = set_of(spec.name, samples, meta)
     mine = chosen(whole, np.arange(count))
-    bundle, facts = train_decoder(plain, mine, names=NETWORKS)
+    receptors = partial(receptor_table_of, _mechanics(quick=quick))
+    bundle, facts = train_decoder(plain, mine, names=NETWORKS, receptors=receptors)
     parts = split_data_sets([mine], plain.model, noise_px=plain.noise_centroid_px, seed=0)
     assert parts[2].samples is not None
     further = select_samples(samples, np.arange(count, samples.count))
@@ -157,7 +166,7 @@ def _rows_of_print(
     source = f"{meta.what}; {meta.route}"
     fitted = (
         f"eq. 4: modulus x{fit['modulus']:.3f}, spread {fit['spread']:.2f} (0: footprint), "
-        f"{fit['columns']} columns measured"
+        f"{fit['receptors']} receptors solved, {fit['columns']} columns measured"
     )
     for estimator, score in by_plain.items():
         _add(table, f"{name}: {estimator}, by design", score, "18" if estimator == "fem" else "")

@@ -5,9 +5,11 @@ from pathlib import Path
 from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_locator import response_arrays, response_from_arrays
+from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.simulation.cramer_rao import cell_prior
-from phytac_design.simulation.pressed_series import MeshPair
+from phytac_design.simulation.pressed_series import DiscResponse, MeshPair
+from phytac_design.simulation.receptor_tables import tabulate_receptors
 from phytac_design.simulation.response_tables import (
     everywhere,
     place_spacing_mm,
@@ -18,9 +20,11 @@ from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.simulation.switch_law import switch_law
 from phytac_design.stages.response_stage import (
     IMAGE_ARRAYS,
+    cell_radius_mm,
     decoder_shell,
     image_response_of,
 )
+from phytac_shapes.arrays import IntArray
 from phytac_shapes.errors import DesignError
 
 EXTRAPOLATED_REFINE, EXTRAPOLATED_MESHES = 3, (6, 4)
@@ -127,6 +131,34 @@ def locator_of(context: Context) -> ContactLocator:
         noise=ShiftNoise(
             centroid_px=1.4 * design.camera.noise_centroid_px, share=0.07, switched_px=0.2
         ),
+    )
+
+
+def receptor_table_of(
+    context: Context, marker: IntArray, pair: IntArray, spread: float
+) -> ReceptorTable | None:
+    """Large displacements by forces on receptors (m,) and pairs (2, q) of them, for training.
+
+    None without tables of interactions, which hold where this does. The forces spread over a disc
+    between the footprint of a switch (0) and the cell of a marker (1).
+    """
+    accuracy, design = context.accuracy, context.design
+    if accuracy.place_orders < 2 or not context.facts("places")["pairs"]:
+        return None
+    context.progress(f"train: large displacements by forces on {len(marker)} receptors")
+    mesh, model, _ = decoder_shell(context)
+    shell = DiscResponse(
+        design,
+        context.surface,
+        context.markers,
+        mesh=mesh,
+        model=model,
+        orders=accuracy.place_orders,
+    )
+    footprint_mm = design.switch.footprint_diameter_mm / 2.0
+    radius_mm = footprint_mm + max(spread, 0.0) * (cell_radius_mm(context) - footprint_mm)
+    return tabulate_receptors(
+        shell, image_response_of(context), context.markers.uv, marker, pair, radius_mm
     )
 
 

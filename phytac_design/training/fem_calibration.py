@@ -2,12 +2,14 @@
 
 Three parameters of the whole shell: the modulus; how far the force of a contact spreads, between
 the footprint of its switch and the cell of a marker; and how little a key node's own shift counts,
-as its tip covers paint. They minimise the sum of absolute force errors on the key nodes. Then the
-columns of the compliance, which a print has otherwise than its design, are measured.
+as its tip covers paint. They minimise the sum of absolute force errors on the key nodes. If forces
+act on the footprints of few receptors, large displacements are solved for these themselves. Then
+the columns of the compliance, which a print has otherwise than its design, are measured.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from phytac_decoder.estimation.estimators import (
     TIP_SD_px,
 )
 from phytac_decoder.estimation.measured_columns import MeasuredColumns
+from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_design.datasets.samples import FAILED, Samples, pressed_nodes
 from phytac_design.training.join_datasets import select_samples
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -37,15 +40,21 @@ MODEL_ERROR = 0.03
 """Share of a motion that no column explains, independently from contact to contact."""
 PRESSES_MIN = 2
 """Contacts on a marker that measure its column, and of a pair its interaction, at least."""
-PAIR_SD = 1.0
-"""Standard deviation of interactions over their size by the tables, which are of second order, and
-of discs larger than a switch's footprint."""
+PAIR_SD, SOLVED_PAIR_SD = 1.0, 0.3
+"""Standard deviation of interactions over their size by the tables, which are of second order, of
+discs larger than a switch's footprint, and interpolated; and over those that were solved."""
 PAIRS_MAX = 400
 """Pairs whose interactions are measured, at most: those that were pressed most often."""
 NOISE_SHARE_MIN = 0.2
 """Changes of an entry that move a marker by less than this share of its noise are not sought."""
 NODES_MIN = 10
 """Key nodes under force that a calibration needs."""
+RECEPTORS_MAX, RECEPTOR_SPREAD_MAX = 128, 0.5
+"""Receptors that large displacements are solved for, at most, and spread of their forces up to
+which they are: fifty with 240 pairs take 8 seconds. Of wider contacts the tables know as much."""
+
+ReceptorSolver = Callable[[IntArray, IntArray, float], ReceptorTable | None]
+"""(receptors (m,), pairs (2, q) of them, spread of the forces) -> their large displacements."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +71,8 @@ class CalibratedMechanics:
         0: forces act on the switches' footprints; 1: on the markers' cells.
     tip_sd_px : float
         Standard deviation of key nodes' own shifts.
+    receptors : int
+        Receptors that large displacements were solved for.
     columns : int
         Columns of the compliance that were measured.
     error_N : float
@@ -72,12 +83,17 @@ class CalibratedMechanics:
     modulus: float
     spread: float
     tip_sd_px: float
+    receptors: int
     columns: int
     error_N: float
 
 
 def fit_mechanics(
-    model: ForceModel, footprint_px: FloatArray, samples: Samples, validation: Samples
+    model: ForceModel,
+    footprint_px: FloatArray,
+    samples: Samples,
+    validation: Samples,
+    receptors: ReceptorSolver | None = None,
 ) -> CalibratedMechanics:
     """Fit modulus, spread, weight of key nodes' own shifts, and columns to samples of known forces.
 
@@ -89,6 +105,8 @@ def fit_mechanics(
         Shifts per newton on the switches' footprints.
     samples, validation : Samples
         With points: to fit to, and to decide whether measured columns are better.
+    receptors : ReceptorSolver, optional
+        Solves large displacements by the design.
     """
     few = select_samples(samples, np.arange(min(samples.count, SAMPLES_MAX)))
 
@@ -98,41 +116,83 @@ def fit_mechanics(
             modulus=1.0,
             spread=1.0,
             tip_sd_px=model.tip_sd_px,
+            receptors=0,
             columns=0,
             error_N=float("nan"),
         )
-
-    def score(spread: float, tip_sd_px: float) -> tuple[float, float]:
-        """Mean absolute error, and modulus."""
-        tried = replace(_spread_model(model, footprint_px, spread), tip_sd_px=tip_sd_px)
-        found, truth = _forces(tried, few)
-        modulus = _modulus(found, truth)
-        return float(np.abs(modulus * found - truth).mean()), modulus
-
-    best: list[tuple[float, float, float, float]] = []
-    for tip_sd_px in TIP_SDS_px:
-        spread = _lowest(SPREADS, [score(spread, tip_sd_px)[0] for spread in SPREADS])
-        best.append((*score(spread, tip_sd_px), spread, tip_sd_px))
-    error_N, modulus, spread, tip_sd_px = min(best)
-    fitted = _spread_model(model, footprint_px, spread)
+    fit = _fit(model, footprint_px, few)
+    table = receptors and _receptors(receptors, model, samples, fit.spread)
+    if table:
+        model = replace(model, receptors=table)
+        fit = _fit(model, footprint_px, few)
+    fitted = _spread_model(model, footprint_px, fit.spread)
     stiff = replace(
         fitted,
-        compliance_px=fitted.compliance_px / modulus,
-        stiffness=fitted.stiffness * modulus,
-        modulus=modulus,
-        tip_sd_px=tip_sd_px,
+        compliance_px=fitted.compliance_px / fit.modulus,
+        stiffness=fitted.stiffness * fit.modulus,
+        modulus=fit.modulus,
+        tip_sd_px=fit.tip_sd_px,
     )
     tries = [stiff, *(replace(stiff, measured=measure(stiff, samples, sd)) for sd in COLUMN_SDS)]
     errors = [_error_N(tried, validation) for tried in tries]
     model = tries[int(np.argmin(errors))]
     return CalibratedMechanics(
         model=model,
-        modulus=modulus,
-        spread=spread,
-        tip_sd_px=tip_sd_px,
+        modulus=fit.modulus,
+        spread=fit.spread,
+        tip_sd_px=fit.tip_sd_px,
+        receptors=len(table.marker) if table else 0,
         columns=0 if model.measured is None else len(model.measured.marker),
-        error_N=error_N,
+        error_N=fit.error_N,
     )
+
+
+class _Fit(NamedTuple):
+    """Parameters of the whole shell, the best of several by their mean absolute error."""
+
+    error_N: float
+    modulus: float
+    spread: float
+    tip_sd_px: float
+
+
+def _fit(model: ForceModel, footprint_px: FloatArray, samples: Samples) -> _Fit:
+    """Fit the parameters of the whole shell."""
+
+    def score(spread: float, tip_sd_px: float) -> _Fit:
+        tried = replace(_spread_model(model, footprint_px, spread), tip_sd_px=tip_sd_px)
+        found, truth = _forces(tried, samples)
+        modulus = _modulus(found, truth)
+        return _Fit(float(np.abs(modulus * found - truth).mean()), modulus, spread, tip_sd_px)
+
+    best = []
+    for tip_sd_px in TIP_SDS_px:
+        errors = [score(spread, tip_sd_px).error_N for spread in SPREADS]
+        best.append(score(_lowest(SPREADS, errors), tip_sd_px))
+    return min(best)
+
+
+def _receptors(
+    solver: ReceptorSolver, model: ForceModel, samples: Samples, spread: float
+) -> ReceptorTable | None:
+    """Large displacements of the receptors that samples press; None if the tables serve as well."""
+    force = _key_node_forces(samples, len(model.height_z_mm))
+    if model.large_displacements is None or force is None or spread > RECEPTOR_SPREAD_MAX:
+        return None
+    marker = np.flatnonzero(np.count_nonzero(force, axis=0) >= PRESSES_MIN)
+    if not 0 < len(marker) <= RECEPTORS_MAX:
+        return None
+    pair = _pairs(force > 0.0, 1)
+    return solver(marker, pair[:, np.isin(pair, marker).all(axis=0)], spread)
+
+
+def _key_node_forces(samples: Samples, count: int) -> FloatArray | None:
+    """Return forces (s, n) on markers in samples that were solved; None if they are not known."""
+    if samples.truth is None or samples.shift_px is None:
+        return None
+    force = np.zeros((samples.count, count))
+    np.add.at(force, (samples.truth.sample, samples.truth.marker), samples.truth.force_N)
+    return np.asarray(force[samples.status != FAILED])
 
 
 def _error_N(model: ForceModel, samples: Samples) -> float:
@@ -159,13 +219,11 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
     and of the tables, or ``PAIR_SD`` times an interaction by the tables (Bayesian linear
     regression, a marker at a time).
     """
-    if samples.truth is None or samples.shift_px is None:
-        return None
     count = len(model.height_z_mm)
-    usable = samples.status != FAILED
-    force = np.zeros((samples.count, count))
-    np.add.at(force, (samples.truth.sample, samples.truth.marker), samples.truth.force_N)
-    force, shift = force[usable], samples.shift_px[usable]
+    force = _key_node_forces(samples, count)
+    if force is None or samples.shift_px is None:
+        return None
+    shift = samples.shift_px[samples.status != FAILED]
     pressed = force > 0.0
     marker = np.flatnonzero(np.count_nonzero(pressed, axis=0) >= PRESSES_MIN)
     if not len(marker):
@@ -184,11 +242,13 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
         # Weak presses alone do not say how far off a strong one would be.
         most_N = max(float(force.max()), large.largest_N)
         if large.places.pairs:
-            pair = _pairs(pressed)
+            pair = _pairs(pressed, PRESSES_MIN)
         squares, products = large.second_order(pair, force)
         terms.append(_Terms(inputs=squares[:, marker], sd_px=columns.sd_px / most_N))
         sizes = np.linalg.norm(large.interaction_px(pair).reshape(-1, count, 2), axis=2)
-        terms.append(_Terms(inputs=products, sd_px=PAIR_SD * sizes.T))
+        solved = model.receptors.pairs if model.receptors else {}
+        sds = [SOLVED_PAIR_SD if tuple(two) in solved else PAIR_SD for two in pair.T.tolist()]
+        terms.append(_Terms(inputs=products, sd_px=np.array(sds) * sizes.T))
     moved = force**2 @ size.T**2
     noise_px = max(model.noise_px, NOISE_LEAST_px)
     inputs = np.concatenate([each.inputs for each in terms], axis=1)
@@ -232,10 +292,10 @@ class _Terms:
     sd_px: FloatArray
 
 
-def _pairs(pressed: BoolArray) -> IntArray:
-    """Pairs (2, k) of markers that samples (s, n) have pressed together often."""
+def _pairs(pressed: BoolArray, least: int) -> IntArray:
+    """Pairs (2, k) of markers that samples (s, n) have pressed together so often, or more."""
     together = pressed.astype(np.float64).T @ pressed
-    one, other = np.nonzero(np.tril(together, -1) >= PRESSES_MIN)
+    one, other = np.nonzero(np.tril(together, -1) >= least)
     most = np.sort(np.argsort(-together[one, other], kind="stable")[:PAIRS_MAX])
     return np.stack([one[most], other[most]])
 

@@ -11,7 +11,7 @@ from phytac_decoder.estimation.cascade_network import Activation, Base
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
 from phytac_design.datasets.samples import THEORIES, KeyNodeData, Samples, key_nodes
-from phytac_design.training.fem_calibration import MODULI, fit_mechanics
+from phytac_design.training.fem_calibration import MODULI, ReceptorSolver, fit_mechanics
 from phytac_design.training.levenberg_marquardt import train_network
 from phytac_design.training.locator_calibration import calibrate_locator, error_of_first_order
 from phytac_design.training.training_data import SplitPart, data_of
@@ -32,6 +32,8 @@ class TrainingTask:
         Seed of everything random.
     start : Bundle or None
         Another sensor's decoder to start from.
+    receptors : ReceptorSolver or None
+        Solves large displacements by forces on receptors, by the design.
     """
 
     bundle: Bundle
@@ -40,6 +42,7 @@ class TrainingTask:
     test: SplitPart
     seed: int
     start: Bundle | None = None
+    receptors: ReceptorSolver | None = None
 
     @property
     def points(self) -> list[Samples]:
@@ -104,8 +107,9 @@ def calibrate_fem(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
     if not task.points or model.footprint_px is None:
         return model, {"left": "as designed: data without points"}
     theory = _of_theory(model, task.points[0])
-    fit = fit_mechanics(theory, model.footprint_px, task.points[0], task.points[1])
-    names = ("modulus", "spread", "tip_sd_px", "columns", "error_N")
+    training, validation, _ = task.points
+    fit = fit_mechanics(theory, model.footprint_px, training, validation, task.receptors)
+    names = ("modulus", "spread", "tip_sd_px", "receptors", "columns", "error_N")
     facts = {name: getattr(fit, name) for name in names}
     if fit.modulus in MODULI:
         facts["warning"] = (

@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,10 @@ from phytac_design.rules.check import check_design
 from phytac_design.simulation.switch_law import switch_law
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import DECODER, assemble_bundle, untrained_model
+from phytac_design.stages.places_stage import receptor_table_of
 from phytac_design.training.evaluation.contact_scores import error_summary
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
+from phytac_design.training.fem_calibration import ReceptorSolver
 from phytac_design.training.result_folder import reserve_folder, write_folder
 from phytac_design.training.threshold_learning import learn_thresholds
 from phytac_design.training.trainers import TRAINERS, TrainingTask
@@ -115,7 +118,9 @@ def train(
         noise_px = design.camera.noise_centroid_px
         parts = split_data_sets(sets, plain.model, noise_px=noise_px, seed=seed, limit=samples)
         plain, learnt = _with_thresholds(plain, context.sensor, parts[0])
-        bundle, trained = run_trainers(plain, parts, seed, first, progress)
+        bundle, trained = run_trainers(
+            plain, parts, seed, first, progress, partial(receptor_table_of, context)
+        )
         trained |= learnt
         held_out = held_out_scores(bundle, parts[2])
         notes = {
@@ -187,6 +192,7 @@ def run_trainers(
     seed: int,
     start: Bundle | None,
     progress: Callable[[str], None],
+    receptors: ReceptorSolver | None = None,
 ) -> tuple[Bundle, dict[str, Any]]:
     """Run all trainers; return the bundle with their results, and their facts."""
     facts = {}
@@ -200,6 +206,7 @@ def run_trainers(
             test=parts[2],
             seed=seed,
             start=start,
+            receptors=receptors,
         )
         model, found = trainer(task)
         bundle = replace(bundle, model=model)

@@ -29,6 +29,7 @@ from phytac_design.simulation.interaction_tables import (
 )
 from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
+from phytac_design.simulation.receptor_tables import tabulate_receptors
 from phytac_design.simulation.response_tables import (
     NONE,
     TabulatedResponse,
@@ -255,6 +256,33 @@ def test_three_strong_contacts_soften_the_wall_together() -> None:
     still.__dict__["softening"] = np.zeros(len(places.point_mm))
     assert error(places) < 0.32
     assert error(still) > 0.45
+
+
+def test_receptors_show_what_narrow_presses_do() -> None:
+    """Beyond linear shifts, on the simulated sensor's shell; the tables are of wider discs."""
+    places, radius = tabulated().places, 2.0
+    middle = SURFACE.point(SURFACE.domain.mean(axis=1)[None])
+    gap_mm = np.linalg.norm(SURFACE.point(MARKERS.uv) - middle, axis=1)
+    marker, force = np.sort(np.argsort(gap_mm)[:2]), 0.5 * DESIGN.training.force_max_N
+    shell = BENCH.discs(*BENCH.shell(4), orders=3)
+    table = tabulate_receptors(shell, SEE, MARKERS.uv, marker, marker[::-1, None], radius)
+    assert table is not None
+    uv = MARKERS.uv[marker]
+    alone = [true_shifts(uv[[k]], radius, force) for k in range(2)]
+    linear = [true_shifts(uv[[k]], radius, 0.02) / 0.02 for k in range(2)]
+    both = true_shifts(uv, radius, 2.0) - np.sum(
+        [true_shifts(uv[[k]], radius, 2.0) for k in range(2)], axis=0
+    )
+    powers = force ** np.arange(2.0, 4.0)
+    for shift, slope, rows, point in zip(
+        alone, linear, table.shift_px, SURFACE.point(uv), strict=True
+    ):
+        wanted = shift - force * slope
+        near = places.shift_px[int(places.nearest(point[None])[0]), 1:]
+        assert off(powers @ rows, wanted) < 0.5 * off(powers @ near, wanted)
+    assert places.pairs is not None
+    (between,) = places.pairs.between(SURFACE.point(uv))
+    assert off(table.pair_px[0], both / 4.0) < 0.5 * off(between, both / 4.0)
 
 
 def test_coordinates_of_pairs_are_those_of_their_own_images(

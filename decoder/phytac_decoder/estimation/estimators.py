@@ -13,6 +13,7 @@ from phytac_decoder.estimation.large_displacements import LargeDisplacements
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
+from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
@@ -69,6 +70,9 @@ class ForceModel:
     modulus : float or None
         Modulus over that of the design, as K and C have it. None: networks and columns were learnt
         without large displacements, which are left out.
+    receptors : ReceptorTable, optional
+        Large displacements by forces on receptors, of the design's modulus; ``auto`` has tables of
+        its own.
     measured : MeasuredColumns, optional
         What known contacts have measured; ``auto`` has corrections of its own.
     footprint_px : (2n, n) float, optional
@@ -86,6 +90,7 @@ class ForceModel:
     noise_px: float = 0.06
     tip_sd_px: float = TIP_SD_px
     modulus: float | None = 1.0
+    receptors: ReceptorTable | None = None
     measured: MeasuredColumns | None = None
     footprint_px: FloatArray | None = None
 
@@ -323,6 +328,7 @@ class ForceModel:
             places=locator.places,
             position_mm=locator.position_mm,
             softness=stiffness / self.modulus,
+            receptors=self.receptors and self.receptors.scaled(stiffness),
             measured=self.measured,
         )
 

@@ -19,6 +19,7 @@ from phytac_decoder.mechanics.interaction_table import (
     interaction_likeness,
 )
 from phytac_decoder.mechanics.membrane_stretching import order_factors
+from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 
@@ -48,6 +49,8 @@ class LargeDisplacements:
         Receptors on the outer face.
     softness : float
         Softness of the wall over that of the tables.
+    receptors : ReceptorTable, optional
+        In place of the tables where receptors are in it.
     measured : MeasuredColumns, optional
         Of a print; its columns are not used here, as they are linear in the forces.
     """
@@ -55,6 +58,7 @@ class LargeDisplacements:
     places: ResponseTable
     position_mm: FloatArray
     softness: float = 1.0
+    receptors: ReceptorTable | None = None
     measured: MeasuredColumns | None = None
     _own: dict[int, FloatArray] = field(default_factory=dict, init=False, repr=False)
     _pairs: dict[tuple[int, int], tuple[FloatArray, float, float]] = field(
@@ -86,7 +90,7 @@ class LargeDisplacements:
         pairs = self.places.pairs
         if pairs is not None and len(receptors) > 1:
             images, likeness, size_px = self._interactions(pairs, receptors)
-            softening = self.places.softening[self._nearest[receptors]]
+            softening = self._softening[receptors]
             parts = add_interactions(
                 images,
                 likeness,
@@ -111,7 +115,7 @@ class LargeDisplacements:
         if self.places.pairs is None:
             return squares, products
         column = {(one, other): k for k, (one, other) in enumerate(pair.T.tolist())}
-        softening = self.softness * self.places.softening[self._nearest]
+        softening = self.softness * self._softening
         for sample, force in enumerate(force_N):
             own = np.flatnonzero(force)
             if len(own) < 2:
@@ -166,6 +170,14 @@ class LargeDisplacements:
         """Place (n,) nearest to each receptor."""
         return self.places.nearest(self.position_mm)
 
+    @cached_property
+    def _softening(self) -> FloatArray:
+        """Share (n,) of the stiffness that a newton of the tables takes away on each receptor."""
+        out = self.places.softening[self._nearest]
+        if self.receptors:
+            out[self.receptors.marker] = self.receptors.softening
+        return out
+
     def _rows(self, receptor: int) -> FloatArray:
         """Return the orders (k, 2n) of the response per newton on a receptor."""
         rows = self._own.get(receptor)
@@ -174,6 +186,8 @@ class LargeDisplacements:
             near = self.places.fits[0][place[0]]
             table = self.places.shift_px[near][:, : self.places.orders]
             rows = np.tensordot(weights[0], table, axes=1)
+            if self.receptors and receptor in self.receptors.rows:
+                rows[1:] = self.receptors.rows[receptor]
             if self.measured:
                 rows[1] += self.measured.squares.get(receptor, 0.0) / self.softness**2
             self._own[receptor] = rows
@@ -204,12 +218,17 @@ class LargeDisplacements:
         known = self._pairs.get((one, other))
         if known is None:
             both = [one, other]
-            (row,) = pairs.between(self.position_mm[both])
-            square_px = self.places.shift_px[self._nearest[both], 1]
-            likeness = float(interaction_likeness(row[None], square_px)[1, 0])
-            size_px, row = float(np.linalg.norm(row)), row.astype(np.float64)
+            numbers = max(both), min(both)
+            if self.receptors and numbers in self.receptors.pairs:
+                image = self.receptors.pairs[numbers]
+                square_px = np.stack([self.receptors.rows[each][0] for each in both])
+            else:
+                (image,) = pairs.between(self.position_mm[both])
+                square_px = self.places.shift_px[self._nearest[both], 1]
+            likeness = float(interaction_likeness(image[None], square_px)[1, 0])
+            size_px, row = float(np.linalg.norm(image)), image.astype(np.float64)
             if self.measured:
-                more = self.measured.pairs.get((max(both), min(both)), 0.0)
+                more = self.measured.pairs.get(numbers, 0.0)
                 row += more / self.softness**2
             if len(self._pairs) >= PAIRS_KEPT:
                 self._pairs.pop(next(iter(self._pairs)), None)

@@ -52,6 +52,7 @@ from phytac_decoder.io.sensor_limits import (
     orientation_notes,
     symmetric_turns,
 )
+from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_decoder.vision.picture_quality import FocusCheck, LightCheck
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import ColourModel
@@ -309,13 +310,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         arrays |= {name: getattr(bundle.covers, name[6:]) for name in COVERS}
     if len(bundle.learnt_rest_px):
         arrays["learnt_rest_px"] = bundle.learnt_rest_px
-    if model.measured is not None:
-        arrays["measured_marker"] = model.measured.marker
-        arrays["measured_px"] = model.measured.shift_px.astype(np.float32)
-        if model.measured.square_px.size:
-            arrays["measured_square_px"] = model.measured.square_px.astype(np.float32)
-            arrays["measured_pair"] = model.measured.pair
-            arrays["measured_pair_px"] = model.measured.pair_px.astype(np.float32)
+    arrays |= _learnt_arrays(model)
     if bundle.shown:
         attributes = ("rest_px", *(f"tips.{attribute}" for attribute in TIPS.values()))
         for name, attribute in zip(SHOWN, attributes, strict=True):
@@ -326,6 +321,28 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         folder / "bundle.safetensors",
     )
     _write_meta(folder, meta | {"arrays_sha256": _sha256(folder)})
+
+
+def _learnt_arrays(model: ForceModel) -> dict[str, Any]:
+    """Return what training has found of forces on receptors."""
+    arrays: dict[str, Any] = {}
+    measured, receptors = model.measured, model.receptors
+    if measured is not None:
+        arrays["measured_marker"] = measured.marker
+        arrays["measured_px"] = measured.shift_px.astype(np.float32)
+        if measured.square_px.size:
+            arrays["measured_square_px"] = measured.square_px.astype(np.float32)
+            arrays["measured_pair"] = measured.pair
+            arrays["measured_pair_px"] = measured.pair_px.astype(np.float32)
+    if receptors is not None:
+        arrays |= {
+            "receptor_px": receptors.shift_px,
+            "receptor_marker": receptors.marker,
+            "receptor_pair": receptors.pair,
+            "receptor_pair_px": receptors.pair_px,
+            "receptor_top_N": np.array([receptors.top_N]),
+        }
+    return arrays
 
 
 def stamp_bundle(
@@ -549,7 +566,9 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bun
         folder=folder,
     )
     locator = replace(locator, blind=bundle.tips.blind(markers_in_play(bundle)))
-    return replace(bundle, model=replace(model, locator=locator))
+    # Up to schema 1.22 there were no receptors.
+    receptors = _receptors(arrays, locator.places.orders)
+    return replace(bundle, model=replace(model, locator=locator, receptors=receptors))
 
 
 def _switch_arrays(bundle: Bundle) -> dict[str, Any]:
@@ -592,6 +611,33 @@ def _measured(arrays: dict[str, Any]) -> MeasuredColumns | None:
         pair=arrays["measured_pair"],
         pair_px=arrays["measured_pair_px"],
     )
+
+
+def _receptors(arrays: dict[str, Any], orders: int) -> ReceptorTable | None:
+    """Return large displacements by forces on receptors, if there are any.
+
+    Raises
+    ------
+    ValueError
+        If they are not those of the same receptors and orders.
+    """
+    if "receptor_px" not in arrays:
+        return None
+    table = ReceptorTable(
+        marker=arrays["receptor_marker"],
+        shift_px=arrays["receptor_px"],
+        pair=arrays["receptor_pair"],
+        pair_px=arrays["receptor_pair_px"],
+        top_N=float(arrays["receptor_top_N"][0]),
+    )
+    if table.shift_px.shape[1] != orders - 1:
+        raise ValueError(f"receptor_px has {table.shift_px.shape[1]} powers, not {orders - 1}")
+    strangers = np.setdiff1d(table.pair, table.marker)
+    if len(strangers):
+        raise ValueError(f"receptor_pair names {strangers[0]}, which receptor_marker lacks")
+    if not table.top_N > 0.0:
+        raise ValueError(f"receptor_top_N is {table.top_N:g}, not above zero")
+    return table
 
 
 def _network(name: str, table: dict[str, Any], parameters: FloatArray) -> CascadeNetwork:

@@ -63,6 +63,8 @@ KINDS = {
     "measured_px": np.float32,
     "measured_square_px": np.float32,
     "measured_pair_px": np.float32,
+    "receptor_px": np.float32,
+    "receptor_pair_px": np.float32,
     "tip_gradual": np.uint8,
 }
 """Types of arrays that are neither float64 nor ids."""
@@ -79,6 +81,15 @@ MEASURED_LARGE: dict[str, tuple[int | str, ...]] = {
     "measured_pair_px": ("2n", "pairs"),
 }
 """Further arrays of a bundle that has measured large displacements."""
+
+RECEPTORS: dict[str, tuple[int | str, ...]] = {
+    "receptor_px": ("receptors", "powers", "2n"),
+    "receptor_marker": ("receptors",),
+    "receptor_pair": (2, "receptor pairs"),
+    "receptor_pair_px": ("receptor pairs", "2n"),
+    "receptor_top_N": (1,),
+}
+"""Further arrays of a bundle that has large displacements by forces on receptors."""
 
 
 def check_bundle(
@@ -110,7 +121,7 @@ def check_bundle(
     shapes |= SHOWN if cameras == 2 else {}
     shapes |= {name: shape for name, shape in OPTIONAL.items() if name in arrays}
     # The first array of each says whether there are any.
-    for group in (MARKS, COVERS, MEASURED, MEASURED_LARGE):
+    for group in (MARKS, COVERS, MEASURED, MEASURED_LARGE, RECEPTORS):
         shapes |= group if next(iter(group)) in arrays else {}
     shapes |= {"learnt_rest_px": ("prints", "n", 2)} if "learnt_rest_px" in arrays else {}
     ids = {"neighbours": (-1, n), "colour": (0, colours), "read_by": (0, cameras)}
@@ -118,8 +129,8 @@ def check_bundle(
         r = len(np.atleast_1d(arrays["mark_point_mm"]))
         ids |= {"mark_neighbours": (-1, r), "mark_colour": ids["colour"]}
         ids |= {"mark_read_by": ids["read_by"]}
-    markers_named = ("cover_marker", "cover_tip", "measured_marker", "measured_pair")
-    ids |= {name: (0, n) for name in markers_named if name in shapes}
+    named = ("cover_marker", "cover_tip", "measured_marker", "measured_pair", "receptor_marker")
+    ids |= {name: (0, n) for name in (*named, "receptor_pair") if name in shapes}
     check_arrays(
         arrays,
         shapes,

@@ -87,21 +87,8 @@ class ResponseTable:
 
     @cached_property
     def softening(self) -> FloatArray:
-        """Share (p,) of the stiffness that each newton on a place takes away, 1/N; at least 0.
-
-        The shifts beyond linear ones are as f² / (1 - a·f): a follows from half the largest
-        tabulated force and all of it.
-        """
-        out = np.zeros(len(self.point_mm))
-        if self.orders < 3 or not np.isfinite(self.top_N):
-            return out
-        powers = (self.top_N * np.array([[0.5], [1.0]])) ** np.arange(self.orders - 1)
-        rows = self.shift_px[:, 1 : self.orders]
-        half, top = np.einsum("tk,pkn->tpn", powers.astype(np.float32), rows)
-        size = np.maximum(np.einsum("pn,pn->p", half, half), 1e-30)
-        growth = np.einsum("pn,pn->p", half, top) / size
-        growth = np.clip(growth, 1.0, SOFTENING_GROWTH_MAX)
-        return np.asarray((growth - 1.0) / (growth - 0.5) / self.top_N)
+        """Share (p,) of the stiffness that each newton on a place takes away, 1/N."""
+        return softening_of(self.shift_px[:, 1 : self.orders], self.top_N)
 
     @cached_property
     def spacing_mm(self) -> float:
@@ -345,6 +332,30 @@ class ResponseTable:
             rows = shear.shift_px[near].reshape(len(near), -1, out.shape[2])
             out[own] = each.reshape(len(near), 2, -1) @ rows
         return out
+
+
+def softening_of(shift_px: NDArray[np.float32], top_N: float) -> FloatArray:
+    """Return the share (p,) of the stiffness that each newton takes away, 1/N; at least 0.
+
+    The shifts beyond linear ones are as f² / (1 - a·f): a follows from half the largest force and
+    all of it.
+
+    Parameters
+    ----------
+    shift_px : (p, k, 2n) float
+        Shifts by powers of the force from the second on.
+    top_N : float
+        Largest force.
+    """
+    orders = shift_px.shape[1]
+    if orders < 2 or not np.isfinite(top_N):
+        return np.zeros(len(shift_px))
+    powers = (top_N * np.array([[0.5], [1.0]])) ** np.arange(orders)
+    half, top = np.einsum("tk,pkn->tpn", powers.astype(np.float32), shift_px)
+    size = np.maximum(np.einsum("pn,pn->p", half, half), 1e-30)
+    growth = np.einsum("pn,pn->p", half, top) / size
+    growth = np.clip(growth, 1.0, SOFTENING_GROWTH_MAX)
+    return np.asarray((growth - 1.0) / (growth - 0.5) / top_N)
 
 
 def axes_turn(ours: FloatArray, theirs: FloatArray) -> FloatArray:

@@ -84,8 +84,8 @@ def turned(bundle: Bundle, step: int) -> Bundle:
     order = bundle.symmetric_turns[step]
     share = step / len(bundle.symmetric_turns)
     turn_deg = 360.0 * share if share <= 0.5 else 360.0 * (share - 1.0)
-    locator, measured = bundle.model.locator, bundle.model.measured
-    if bundle.notes.get("scene") or measured or (locator and locator.correction):
+    locator, learnt = bundle.model.locator, bundle.model.measured or bundle.model.receptors
+    if bundle.notes.get("scene") or learnt or (locator and locator.correction):
         raise InputError(
             "shell-turned",
             f"the shell sits turned by {turn_deg:g} degrees, and this decoder was trained or made "
