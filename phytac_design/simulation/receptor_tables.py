@@ -1,11 +1,16 @@
 """Large displacements by forces on receptors themselves, by the decoder's own mesh."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_design.simulation.interaction_tables import InteractionSolver
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_shapes.arrays import FloatArray, IntArray
+
+BATCH = 16
+"""Receptors solved together."""
 
 
 def tabulate_receptors(
@@ -15,6 +20,7 @@ def tabulate_receptors(
     marker: IntArray,
     pair: IntArray,
     radius_mm: float,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> ReceptorTable | None:
     """Return the table of discs on receptors; None if none is known to more than linear theory.
 
@@ -36,7 +42,10 @@ def tabulate_receptors(
     NumericalError
         If linear theory fails.
     """
-    motions = shell.motions(uv[marker], radius_mm)
+    motions: list[list[FloatArray]] = []
+    for first in range(0, len(marker), BATCH):
+        motions += shell.motions(uv[marker[first : first + BATCH]], radius_mm)
+        progress(f"receptors: {len(motions)} of {len(marker)}, large displacements")
     known = np.array([len(each) == shell.orders for each in motions], dtype=np.bool_)
     if not known.any():
         return None
@@ -45,6 +54,7 @@ def tabulate_receptors(
     pair = pair[:, np.isin(pair, marker).all(axis=0)]
     images = np.zeros((0, 2 * len(uv)))
     if pair.shape[1]:
+        progress(f"receptors: {pair.shape[1]} pairs")
         solver = InteractionSolver(shell, see, uv[marker], radius_mm)
         images = solver.images(np.searchsorted(marker, pair.T))
     return ReceptorTable(

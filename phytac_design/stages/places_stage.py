@@ -145,7 +145,6 @@ def receptor_table_of(
     accuracy, design = context.accuracy, context.design
     if accuracy.place_orders < 2 or not context.facts("places")["pairs"]:
         return None
-    context.progress(f"train: large displacements by forces on {len(marker)} receptors")
     mesh, model, _ = decoder_shell(context)
     shell = DiscResponse(
         design,
@@ -158,7 +157,13 @@ def receptor_table_of(
     footprint_mm = design.switch.footprint_diameter_mm / 2.0
     radius_mm = footprint_mm + max(spread, 0.0) * (cell_radius_mm(context) - footprint_mm)
     return tabulate_receptors(
-        shell, image_response_of(context), context.markers.uv, marker, pair, radius_mm
+        shell,
+        image_response_of(context),
+        context.markers.uv,
+        marker,
+        pair,
+        radius_mm,
+        progress=context.progress,
     )
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from phytac_decoder.estimation.contact_fit import ContactPrior, initial_state
 from phytac_decoder.estimation.contact_shifts import predicted_shifts
+from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.design.accuracy import settings_of
 from phytac_design.design.spec import Design
@@ -267,21 +268,43 @@ def test_receptors_show_what_narrow_presses_do() -> None:
     table = tabulate_receptors(shell, SEE, MARKERS.uv, marker, marker[::-1, None], radius)
     assert table is not None
     uv = MARKERS.uv[marker]
-    alone = [true_shifts(uv[[k]], radius, force) for k in range(2)]
-    linear = [true_shifts(uv[[k]], radius, 0.02) / 0.02 for k in range(2)]
-    both = true_shifts(uv, radius, 2.0) - np.sum(
-        [true_shifts(uv[[k]], radius, 2.0) for k in range(2)], axis=0
-    )
+    slope = true_shifts(uv[:1], radius, 0.02) / 0.02
+    wanted = true_shifts(uv[:1], radius, force) - force * slope
     powers = force ** np.arange(2.0, 4.0)
-    for shift, slope, rows, point in zip(
-        alone, linear, table.shift_px, SURFACE.point(uv), strict=True
-    ):
-        wanted = shift - force * slope
-        near = places.shift_px[int(places.nearest(point[None])[0]), 1:]
-        assert off(powers @ rows, wanted) < 0.5 * off(powers @ near, wanted)
+    near = places.shift_px[int(places.nearest(SURFACE.point(uv[:1]))[0]), 1:]
+    assert off(powers @ table.shift_px[0], wanted) < 0.5 * off(powers @ near, wanted)
+    alone = [true_shifts(uv[[k]], radius, 2.0) for k in range(2)]
+    both = true_shifts(uv, radius, 2.0) - np.sum(alone, axis=0)
     assert places.pairs is not None
     (between,) = places.pairs.between(SURFACE.point(uv))
     assert off(table.pair_px[0], both / 4.0) < 0.5 * off(between, both / 4.0)
+
+
+def test_receptors_that_only_linear_theory_knows_are_left_to_the_tables(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shell, said = BENCH.discs(*BENCH.shell(3), orders=3), list[str]()
+    solved = shell.motions
+    marker = np.array([9, 20, 21])
+    pair = np.array([[20, 21, 21], [9, 9, 20]])
+
+    def table(unknown: list[int]) -> ReceptorTable | None:
+        def motions(uv: FloatArray, radius_mm: float) -> list[list[FloatArray]]:
+            each = solved(uv, radius_mm)
+            return [own[:1] if k in unknown else own for k, own in enumerate(each)]
+
+        monkeypatch.setattr(shell, "motions", motions)
+        return tabulate_receptors(shell, SEE, MARKERS.uv, marker, pair, 2.0, said.append)
+
+    whole, part = table([]), table([1])
+    assert whole is not None
+    assert part is not None
+    assert part.marker.tolist() == [9, 21]
+    assert part.pair.tolist() == [[21], [9]]
+    np.testing.assert_array_equal(part.shift_px, whole.shift_px[[0, 2]])
+    np.testing.assert_allclose(part.pair_px[0], whole.pair_px[1], rtol=1e-3, atol=1e-7)
+    assert table([0, 1, 2]) is None
+    assert "receptors: 3 of 3, large displacements" in said
 
 
 def test_coordinates_of_pairs_are_those_of_their_own_images(
