@@ -7,8 +7,9 @@ import pytest
 
 from phytac_decoder.estimation.contact_estimates import LocatedContact
 from phytac_decoder.estimation.contact_fit import ShiftNoise
+from phytac_decoder.estimation.locator import ContactLocator
 from phytac_shapes.arrays import FloatArray
-from tests.decoder.flat_sensor import flat_locator, nearest, together
+from tests.decoder.flat_sensor import MARKERS, RADIUS_MM, flat_locator, nearest, shifts, together
 
 LOCATOR = flat_locator()
 
@@ -61,3 +62,36 @@ def test_nine_fingers_are_parted_at_once() -> None:
     for at, force in zip(places, forces, strict=True):
         near = min(found, key=lambda contact: float(np.linalg.norm(contact.point_mm - at)))
         assert near.force_N == pytest.approx(force, rel=0.03)
+
+
+NARROW = 2.3
+"""Radius of presses on the footprint of a switch, mm."""
+
+
+def narrow_presses(locator: ContactLocator) -> ContactLocator:
+    """The estimator after training with presses on receptors."""
+    less = (NARROW**2 - RADIUS_MM**2) / 4.0
+    prior = replace(
+        locator.prior,
+        place_mm=0.3,
+        moments_mm2=(less, 0.0, less),
+        moments_sd_mm2=(0.5, 0.5, 0.5),
+    )
+    return replace(locator, prior=prior)
+
+
+@pytest.mark.parametrize("force_N", [(9.0, 16.0), (4.0, 22.0)])
+def test_narrow_presses_on_neighbouring_switches_are_two(force_N: tuple[float, float]) -> None:
+    """One wider contact explains their motion nearly as well, and training has seen none."""
+    ids, disc = np.array([44, 45]), NARROW**2 / 4.0 * np.array([1.0, 0.0, 1.0])
+    seen = np.sum(
+        [shifts(MARKERS[k], f, disc) for k, f in zip(ids, force_N, strict=True)], axis=0
+    ).reshape(-1, 2)
+    seen += np.random.default_rng(0).normal(0.0, 0.1, seen.shape)
+    found = narrow_presses(flat_locator(noise_px=0.1)).find(seen, ids)
+    contacts = sorted(found.contacts, key=lambda contact: contact.markers.tolist())
+    assert [contact.markers.tolist() for contact in contacts] == [[44], [45]]
+    for contact, f in zip(contacts, force_N, strict=True):
+        assert contact.force_N == pytest.approx(f, rel=0.15)
+    # Contacts of any width are one.
+    assert len(flat_locator(noise_px=0.1).find(seen, ids).contacts) == 1

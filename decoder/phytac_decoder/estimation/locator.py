@@ -11,6 +11,7 @@ markers decides alone.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,6 +73,8 @@ class LocatorSettings:
     """Standard deviation of the logarithm of thresholds: half of the above."""
     misread_share: float = 0.01
     """Share of switches that are read wrongly, at least."""
+    wide_sds: float = 4.0
+    """Standard deviations of the prior from which a contact is unusually wide."""
     reach_radii: float = 1.5
     """Extent of a contact beyond its centre, in radii of the tables' disc."""
     start_force_N: float = 0.3
@@ -326,8 +329,9 @@ class ContactLocator:
         starts = [self._start(seen.koi, force, rows) for rows in groups]
         best = self._fit(starts, seen)
         apart = self._out_of_reach(best, seen.koi)
+        explained = best.reduced_chi2 < SETTINGS.chi2_unexplained and not apart.any()
         # Noise that is not known may be far too large: then χ² is no criterion.
-        if self.noise.known and best.reduced_chi2 < SETTINGS.chi2_unexplained and not apart.any():
+        if self.noise.known and explained and not self._unusually_wide(best.states):
             return best
         for group in groups:
             parts = self._parts(seen.koi, force, group)
@@ -371,6 +375,12 @@ class ContactLocator:
         gap = np.linalg.norm(points[:, None] - self.position_mm[koi][None], axis=2)
         reach = np.maximum(self._radii(fit.states) + self.footprint_mm, self._reach_mm)
         return np.asarray((gap > reach[:, None]).all(axis=0))
+
+    def _unusually_wide(self, states: Sequence[ContactState]) -> bool:
+        """Return whether a contact over several switches is wider than the prior has contacts."""
+        mean, sd = self.prior.moments_mm2[::2], self.prior.moments_sd_mm2[::2]
+        most = np.add(mean, np.multiply(SETTINGS.wide_sds, sd))
+        return any((state.x[3:6:2] > most).any() for state in states if len(state.markers) > 1)
 
     def _unreadable_starts(self, seen: ShiftObservation) -> list[ContactState]:
         """Return contacts on unreadable switches that the motion shows as pressed."""
@@ -433,7 +443,8 @@ class ContactLocator:
     @property
     def _reach_mm(self) -> float:
         """Switches farther from a contact's most loaded one may belong to another contact."""
-        return SETTINGS.reach_radii * self.places.radius_mm + self.footprint_mm
+        usual = self.places.radius_mm**2 / 4.0 + float(np.mean(self.prior.moments_mm2[::2]))
+        return SETTINGS.reach_radii * 2.0 * sqrt(max(usual, 0.0)) + self.footprint_mm
 
     def _switch_forces(self, seen: ShiftObservation) -> SwitchForces:
         """Return the force on each switch that is on, by the compliance inverse."""
