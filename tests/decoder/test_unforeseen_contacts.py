@@ -75,6 +75,29 @@ def test_a_missing_contact_is_tried_below_the_drop_that_is_demanded_of_it(
         assert len(found.contacts) == 1 + len(tried)
 
 
+@pytest.mark.parametrize("off_mm", [(12.0, 0.0), (0.0, 12.0), (-9.0, -8.0)])
+def test_the_search_starts_where_a_contact_is_missing(off_mm: tuple[float, float]) -> None:
+    """The plain residual is largest 6 to 8 mm away, where the found one has stretched least.
+
+    On `cylinder60` a fit from 24 mm away ended 8 mm from a contact of 3 N.
+    """
+    locator, far = flat_locator(noise_px=0.05), AT + np.array([*off_mm, 0.0])
+    noise = np.random.default_rng(2).normal(0.0, 0.05, 2 * len(MARKERS))
+    seen = contact_fit.ShiftObservation(
+        shift_px=shifts(AT, 10.0) + shifts(far, 1.0) + noise,
+        found=np.ones(2 * len(MARKERS), dtype=np.bool_),
+        koi=np.array([nearest(AT)]),
+    )
+    best = locator._fit_switched(seen)
+    start = locator._unswitched_start(best, seen, 0.0)
+    assert start is not None
+    assert np.linalg.norm(start.start_mm - far) < 1.5
+    assert start.x[0] == pytest.approx(1.0, abs=0.2)
+    _, gain = locator._by_residual(best, seen, np.array([start.place]))
+    row = locator.places.shift_px[start.place, :1].astype(np.float64)
+    assert gain[0] == pytest.approx(best.gain_by(row, seen.shift_px, 1e3), rel=1e-3)
+
+
 def test_a_larger_contact_than_learnt_is_read_right(monkeypatch: pytest.MonkeyPatch) -> None:
     prior = contact_fit.ContactPrior(place_mm=1.5, moments_sd_mm2=(0.5, 0.5, 0.5))
     locator = replace(flat_locator(noise_px=0.1), prior=prior)

@@ -56,7 +56,10 @@ class LocatorSettings:
     """Share of the demanded drop of χ² that linear theory must foresee for a fit to be tried. Of
     300 fits that were tried in films, it foresaw 0.7 to 1.5 times the drop of those accepted, and
     0.6 times at least where the drop was a fifth of the demanded one or more. While a part of the
-    motion is unexplained, a residual of that share of the drop is enough for an unswitched one."""
+    motion is unexplained, that share is enough for an unswitched one, too."""
+    untaken_min: float = 0.1
+    """Share of the signal of a contact that others leave, at least, where it is searched for:
+    a fit that has not quite settled leaves a residual where they take nearly all."""
     foreseen_places: int = 10
     """Places around the start of a contact on which it is foreseen."""
     chi2_unexplained: float = 1.15
@@ -402,7 +405,7 @@ class ContactLocator:
             if not unexplained and not allow_tentative:
                 break
             drop = SETTINGS.tentative_chi2_drop if allow_tentative else SETTINGS.chi2_drop
-            # Others may have stretched over a contact that is missing: then its residual is small.
+            # Linear theory may foresee less than a fit gains.
             share = SETTINGS.foreseen_share if unexplained else 1.0
             start = self._unswitched_start(best, seen, share * drop)
             if start is None:
@@ -514,12 +517,17 @@ class ContactLocator:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the force (p,) N at each of places that explains most of the residual.
 
-        And by how much it lowers χ² (p,): 0 for a force outwards.
+        And by how much it lowers χ² (p,): 0 for a force outwards. Both are by linear theory, with
+        all other unknowns fitted again as in :meth:`ContactFit.gain_by`: contacts may have
+        stretched over one that is missing, so that the plain residual is largest elsewhere.
         """
-        weighted = best.inverse * (seen.shift_px - best.predicted_px)
-        pull = self._first[places] @ weighted.astype(np.float32)
-        size = np.maximum(self._squares[places] @ best.inverse.astype(np.float32), 1e-12)
-        return pull / size, np.where(pull > 0.0, pull, 0.0) ** 2 / size
+        first, inverse = self._first[places], best.inverse.astype(np.float32)
+        pull = first @ (best.inverse * (seen.shift_px - best.predicted_px)).astype(np.float32)
+        size = self._squares[places] @ inverse
+        cross = first @ (best.slope * inverse).T.astype(np.float32)
+        taken = np.einsum("pu,pu->p", cross @ best.joint_covariance, cross)
+        left = np.maximum(size - taken, SETTINGS.untaken_min * size) + self.prior.force_N**-2.0
+        return pull / left, np.where(pull > 0.0, pull, 0.0) ** 2 / left
 
     def _carried(self, state: ContactState) -> FloatArray:
         """Return the force (n,) N of a contact on each switch."""
