@@ -517,16 +517,18 @@ class ContactLocator:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the force (p,) N at each of places that explains most of the residual.
 
-        And by how much it lowers χ² (p,): 0 for a force outwards. Both are by linear theory, with
-        all other unknowns fitted again as in :meth:`ContactFit.gain_by`: contacts may have
-        stretched over one that is missing, so that the plain residual is largest elsewhere.
+        And by how much it lowers χ² (p,): 0 for a force outwards. While a part of the motion is
+        unexplained, contacts may have stretched over one that is missing, so that the residual is
+        largest elsewhere: all other unknowns are then fitted again, by linear theory as in
+        :meth:`ContactFit.gain_by`.
         """
         first, inverse = self._first[places], best.inverse.astype(np.float32)
         pull = first @ (best.inverse * (seen.shift_px - best.predicted_px)).astype(np.float32)
-        size = self._squares[places] @ inverse
-        cross = first @ (best.slope * inverse).T.astype(np.float32)
-        taken = np.einsum("pu,pu->p", cross @ best.joint_covariance, cross)
-        left = np.maximum(size - taken, SETTINGS.untaken_min * size) + self.prior.force_N**-2.0
+        size = left = np.maximum(self._squares[places] @ inverse, 1e-12)
+        if best.reduced_chi2 >= SETTINGS.chi2_unexplained:
+            cross = first @ (best.slope * inverse).T.astype(np.float32)
+            taken = np.einsum("pu,pu->p", cross @ best.joint_covariance, cross)
+            left = np.maximum(size - taken, SETTINGS.untaken_min * size)
         return pull / left, np.where(pull > 0.0, pull, 0.0) ** 2 / left
 
     def _carried(self, state: ContactState) -> FloatArray:
