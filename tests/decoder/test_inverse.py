@@ -68,6 +68,18 @@ def test_markers_that_were_misread_are_left_out(misread: tuple[int, ...]) -> Non
     assert np.abs(model()._least_squares(shift, koi, 0.0) / clean[koi] - 1.0).max() > 0.1
 
 
+@pytest.mark.parametrize("misread", [(12,), (5, 12), (5, 12, 30)])
+def test_misread_markers_do_not_hide_each_other(misread: tuple[int, ...]) -> None:
+    """They pull forces until more markers than may be left out are off."""
+    forces, koi = model(), np.array([4, 11, 31])
+    shift = noisy(forces, koi, np.array([3.0, 2.0, 4.0]))
+    clean = forces.forces("koi_inverse", shift, koi)
+    shift[list(misread)] += [40.0, 30.0]
+    pulled = forces._least_squares(shift, koi, 0.0)
+    assert not forces.misread(shift, koi, pulled).any()
+    np.testing.assert_allclose(forces.forces("koi_inverse", shift, koi), clean, atol=0.05)
+
+
 @pytest.mark.parametrize("wrong", [(28, 20, 21, 24), (31,)], ids=["many", "a key node"])
 def test_what_is_not_modelled_is_not_left_out(wrong: tuple[int, ...]) -> None:
     """More than a few markers are something that presses; a contact dents the wall under itself."""

@@ -345,14 +345,15 @@ class ForceModel:
             f"inverse {tip_sd_px}", shift_px, koi, lambda: self._solved(shift_px, koi, tip_sd_px)
         )
 
-    def unexplained(
-        self, off_px: FloatArray, motion_px: FloatArray, share: float = MISREAD_SHARE
-    ) -> BoolArray:
+    def unexplained(self, off_px: FloatArray, motion_px: FloatArray) -> BoolArray:
         """Return markers (n,) that are off predicted shifts (n, 2) by more than is usual."""
-        usual = np.hypot(*motion_px.T)[self._near].max(axis=0)
         # A marker that was not found is not off.
-        limit = MISREAD_NOISES * self.noise_px + share * usual
-        return np.asarray(np.hypot(*off_px.T) > limit)
+        return np.asarray(np.hypot(*off_px.T) > self._usual_px(motion_px, MISREAD_SHARE))
+
+    def _usual_px(self, motion_px: FloatArray, share: float) -> FloatArray:
+        """Return how far markers (n,) may be off, by the predicted shifts (n, 2) around them."""
+        around = np.hypot(*motion_px.T)[self._near].max(axis=0)
+        return np.asarray(MISREAD_NOISES * self.noise_px + share * around)
 
     @cached_property
     def _near(self) -> IntArray:
@@ -363,22 +364,39 @@ class ForceModel:
 
     def misread(self, shift_px: FloatArray, koi: IntArray, force_N: FloatArray) -> BoolArray:
         """Return markers (n,) other than key nodes that forces on these do not explain, if few."""
+        out = self._excess(shift_px, koi, force_N) > 1.0
+        return out & (np.count_nonzero(out) <= MISREAD_MAX)
+
+    def _excess(self, shift_px: FloatArray, koi: IntArray, force_N: FloatArray) -> FloatArray:
+        """Return how far markers (n,) other than key nodes are off, over what is usual."""
         motion_px = (force_N @ self.patterns[0][koi]).reshape(-1, 2)
         # In most frames linear shifts explain all markers well enough.
-        out = self.unexplained(shift_px - motion_px, motion_px, MISREAD_SHARE + BEYOND_LINEAR_SHARE)
-        if out.any():
+        share = MISREAD_SHARE + BEYOND_LINEAR_SHARE
+        out = np.hypot(*(shift_px - motion_px).T) / self._usual_px(motion_px, share)
+        if np.any(out > 1.0):
             motion_px = motion_px + self.beyond_linear_px(force_N, koi).reshape(-1, 2)
             off_px = shift_px - motion_px
             off_px = self.without_motion(off_px, self._motion_behind(off_px.reshape(-1)))
-            out = self.unexplained(off_px, motion_px)
-            out[koi] = False
-        return out & (np.count_nonzero(out) <= MISREAD_MAX)
+            out = np.hypot(*off_px.T) / self._usual_px(motion_px, MISREAD_SHARE)
+        out[koi] = 0.0
+        # A marker that was not found is not off.
+        return np.asarray(np.nan_to_num(out))
 
     def _solved(self, shift_px: FloatArray, koi: IntArray, tip_sd_px: float) -> FloatArray:
-        force = self._least_squares(shift_px, koi, tip_sd_px)
+        first = force = self._least_squares(shift_px, koi, tip_sd_px)
+        without = shift_px.copy()
+        # One misread marker pulls forces until many others seem to be off: the farthest goes first.
+        for _ in range(MISREAD_MAX):
+            excess = self._excess(without, koi, force)
+            if not np.any(excess > 1.0):
+                break
+            without[excess.argmax()] = np.nan
+            force = self._least_squares(without, koi, tip_sd_px)
+        if force is first:
+            return first
         misread = self.misread(shift_px, koi, force)
         if not misread.any():
-            return force
+            return first
         return self._least_squares(np.where(misread[:, None], np.nan, shift_px), koi, tip_sd_px)
 
     def _least_squares(self, shift_px: FloatArray, koi: IntArray, tip_sd_px: float) -> FloatArray:
