@@ -254,10 +254,12 @@ def test_likeness_has_a_sign_and_is_one_at_most() -> None:
     for image, wanted in (((4.0, 0.0), 1.0), ((-2.0, 5.0), -0.5), ((9.0, 0.0), 1.0)):
         likeness = interaction_likeness(np.array([image]), square)
         np.testing.assert_allclose(likeness, [[1.0, wanted], [wanted, 1.0]])
-    # Walls that are linear at a place have nothing to compare.
-    np.testing.assert_array_equal(
-        interaction_likeness(np.array([[4.0, 0.0]]), 0.0 * square), np.eye(2)
-    )
+    # Walls that are linear at a place have nothing to compare. Tables are in single precision.
+    single = np.array([[4.0, 0.0]], dtype=np.float32)
+    for linear in ([0], [0, 1]):
+        square[linear] = 0.0
+        likeness = interaction_likeness(single, square.astype(np.float32))
+        np.testing.assert_array_equal(likeness, np.eye(2))
 
 
 @pytest.mark.parametrize("likeness", [-0.5, 0.0, 0.7])

@@ -128,12 +128,16 @@ def interaction_likeness(
     """
     out = np.eye(len(square_px))
     i, k = np.array(_each_two(len(square_px))).T
+    # Single precision has no 1e-300: there it is 0.
+    square_px = np.asarray(square_px, dtype=np.float64)
     size = np.sqrt(np.einsum("cn,cn->c", square_px, square_px))
     mean = square_px[i] + square_px[k]
     length = np.sqrt(np.einsum("kn,kn->k", mean, mean))
     along = np.einsum("kn,kn->k", images, mean) / np.maximum(length, 1e-300)
     own_px = 2.0 * np.sqrt(size[i] * size[k])
-    out[i, k] = out[k, i] = np.clip(along / np.maximum(own_px, 1e-300), -1.0, 1.0)
+    alike = np.clip(along / np.maximum(own_px, 1e-300), -1.0, 1.0)
+    # A place whose shifts are linear has nothing to compare.
+    out[i, k] = out[k, i] = np.where(own_px > 0.0, alike, 0.0)
     return out
 
 
