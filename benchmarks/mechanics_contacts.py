@@ -1,6 +1,6 @@
 """Several strong contacts at once: how the decoder adds up their shifts, by large displacements.
 
-Part ``contacts`` of ``mechanics``: discs of 5.5 mm on ``cylinder60``, 8 to 45 mm apart. The
+Part ``contacts`` of ``mechanics``: discs of radius 5.5 mm on ``cylinder60``, 4 to 31 mm apart. The
 reference is a solution with large displacements on the decoder's own mesh.
 """
 

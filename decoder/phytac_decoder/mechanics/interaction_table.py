@@ -14,8 +14,8 @@ leave at place i ::
 of it, where ρᵢₖ says how far M of two places is that of two contacts on one place: 1 there, less
 further away, and negative where they stiffen the wall for each other. What a contact does beyond
 linear shifts is as 1 / (1 - λᵢ) in place of 1 / (1 - aᵢ·fᵢ), and an interaction as that of the mean
-of both λ (derived here: exact where all contacts are on one place). By solutions with large
-displacements on ``cylinder60`` with two to five discs of 12 to 25 N, 8 to 45 mm apart.
+of both λ (derived here: exact where all contacts are on one place). Checked by solutions with large
+displacements on ``cylinder60``: two to five discs of 3 to 25 N, 4 to 31 mm apart.
 
 Most of M, over all places, lies in a space of some hundred dimensions: tabulated are the axes of
 that space, and the coordinates of M over pairs of places.
