@@ -23,6 +23,7 @@ NAMES = (
     "visibility",
     "fabrication",
     "mechanics",
+    "contacts",
     "twin",
     "stability",
     "decoder",

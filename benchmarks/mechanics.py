@@ -12,7 +12,6 @@ import numpy as np
 
 from benchmarks import (
     mechanics_calibration,
-    mechanics_contacts,
     mechanics_large,
     mechanics_mesh_error,
     mechanics_receptors,
@@ -199,7 +198,6 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "calibration": partial(mechanics_calibration.add_rows, quick=quick),
         "receptors": partial(mechanics_receptors.add_rows, quick=quick),
         "mesh-error": partial(mechanics_mesh_error.add_rows, quick=quick),
-        "contacts": partial(mechanics_contacts.add_rows, quick=quick),
         "speed": partial(mechanics_speed.add_rows, quick=quick),
     }
 

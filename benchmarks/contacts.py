@@ -1,15 +1,19 @@
 """Several strong contacts at once: how the decoder adds up their shifts, by large displacements.
 
-Part ``contacts`` of ``mechanics``: discs of radius 5.5 mm on ``cylinder60``, 4 to 31 mm apart. The
-reference is a solution with large displacements on the decoder's own mesh.
+Discs of 5.5 mm on ``cylinder60``, 4 to 31 mm apart. The reference is a solution with large
+displacements on the decoder's own mesh. ::
+
+    python -m benchmarks.contacts [--quick]
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from benchmarks.decoder_evaluation import by_design, mechanics
-from benchmarks.harness import Table
+from benchmarks.harness import Table, run_parts
 from phytac_decoder.estimation.contact_fit import ContactPrior, initial_state
 from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.mechanics.interaction_table import add_interactions, interaction_likeness
@@ -145,3 +149,12 @@ def add_rows(table: Table, *, quick: bool) -> None:
             note = f"mean of {len(each)} sets; error over the size of all shifts"
             source = "large displacements on the same mesh"
             table.add(f"{case}: {name}", float(value), "%", "", source, note=note)
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Parts by name."""
+    return {"at once": partial(add_rows, quick=quick)}
+
+
+if __name__ == "__main__":
+    run_parts("contacts", parts, __doc__ or "")
