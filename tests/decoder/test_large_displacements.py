@@ -282,6 +282,28 @@ def test_columns_are_measured_beside_large_displacements() -> None:
     assert errors[1] > 0.1
 
 
+def test_markers_that_were_misread_measure_nothing() -> None:
+    rng, count, ids = np.random.default_rng(0), 40, np.array([44, 66])
+    force, shift = np.zeros((count, N)), np.zeros((count, N, 2))
+    for k in range(count):
+        force[k, ids[k % 2]] = rng.uniform(2.0, 20.0)
+        own = np.flatnonzero(force[k])
+        shift[k] = seen(own.tolist(), force[k, own].tolist()).reshape(N, 2)
+    samples = replace(
+        flat_samples.pressed(count, seed=0),
+        shift_px=shift + rng.normal(0.0, 0.01, shift.shape),
+        truth=truth_rows(force > 0.0, np.full(force.shape, -1), force),
+    )
+    sound = measure(model(), samples, 0.3)
+    assert samples.shift_px is not None
+    # Near the first receptor, one in five times.
+    samples.shift_px[::10, 45] += [8.0, -5.0]
+    found = measure(model(), samples, 0.3)
+    assert sound is not None
+    assert found is not None
+    np.testing.assert_allclose(found.shift_px, sound.shift_px, atol=0.005)
+
+
 def test_squares_and_pairs_are_measured() -> None:
     """Receptors that soften more than by design, and two that soften each other more."""
     of, rng, count = model(), np.random.default_rng(0), 120

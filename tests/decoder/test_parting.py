@@ -77,7 +77,8 @@ def narrow_presses(locator: ContactLocator) -> ContactLocator:
         moments_mm2=(less, 0.0, less),
         moments_sd_mm2=(0.5, 0.5, 0.5),
     )
-    return replace(locator, prior=prior)
+    known = replace(locator.noise, ratio=np.ones(2 * len(MARKERS)))
+    return replace(locator, prior=prior, noise=known)
 
 
 @pytest.mark.parametrize("force_N", [(9.0, 16.0), (4.0, 22.0)])

@@ -8,8 +8,10 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.large_displacements import LargeDisplacements
 from phytac_decoder.io.bundle import load_bundle, save_bundle
+from phytac_decoder.mechanics.interaction_table import interaction_likeness
 from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_design.datasets.samples import Samples, truth_rows
 from phytac_design.training.fem_calibration import _receptors, fit_mechanics
@@ -60,6 +62,14 @@ def test_they_stand_in_place_of_the_tables() -> None:
     np.testing.assert_array_equal(other, plain.interaction_px(pair)[1])
 
 
+def test_how_alike_they_are_is_by_their_own_rows() -> None:
+    own, table = replace(tables(), receptors=receptors()), receptors()
+    assert own.places.pairs is not None
+    _, found, _ = own._interactions(own.places.pairs, IDS[:2])
+    np.testing.assert_allclose(found, interaction_likeness(table.pair_px, table.shift_px[:, 0]))
+    assert 0.1 < found[1, 0] < 0.9
+
+
 def test_the_wall_softens_as_they_say() -> None:
     plain = replace(tables(), receptors=receptors())
     weaker = replace(plain, receptors=receptors(0.02))
@@ -88,6 +98,24 @@ def test_they_are_scaled_with_the_tables() -> None:
     )
     for found, wanted in zip(scaled.shifts(IDS, force), plain.shifts(IDS, force), strict=True):
         np.testing.assert_allclose(found, wanted, atol=2e-4 * np.abs(wanted).max())
+
+
+def test_a_model_scales_them_as_its_tables() -> None:
+    """Those of a print, whose stiffness ``auto`` has learnt."""
+    plain, force = (
+        replace(sensor(), receptors=receptors(), modulus=1.1),
+        np.array([13.0, 9.0, 25.0]),
+    )
+    assert plain.locator is not None
+    correction = ForceCorrection.plain(low_mm=np.zeros(3), size_mm=1.0, force_max_N=25.0)
+    locator = replace(
+        plain.locator,
+        places=plain.locator.places.scaled(1.25),
+        correction=replace(correction, stiffness=1.25),
+    )
+    wanted = plain.beyond_linear_px(force, IDS)
+    found = replace(plain, locator=locator).beyond_linear_px(force, IDS)
+    np.testing.assert_allclose(found, wanted, atol=2e-4 * np.abs(wanted).max())
 
 
 def pressed(of: ForceModel, count: int, seed: int, ids: IntArray) -> Samples:

@@ -13,6 +13,7 @@ from phytac_decoder.estimation.measured_columns import MeasuredColumns
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.io.sensor_limits import axial_rotation, symmetric_turns
+from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame, rest_positions
 from phytac_decoder.pipeline.frame_reading import read
@@ -240,6 +241,16 @@ def test_a_decoder_of_one_print_or_scene_is_not_turned() -> None:
     columns = MeasuredColumns(marker=np.array([2]), shift_px=plain.model.compliance_px[:, 2:3])
     with refused("shell-turned"):
         turned(replace(plain, model=replace(plain.model, measured=columns)), 1)
+    rows = np.zeros((1, 1, len(plain.model.compliance_px)), dtype=np.float32)
+    receptors = ReceptorTable(
+        marker=np.array([2]),
+        shift_px=rows,
+        pair=np.zeros((2, 0), dtype=np.int64),
+        pair_px=rows[:0, 0],
+        top_N=25.0,
+    )
+    with refused("shell-turned"):
+        turned(replace(plain, model=replace(plain.model, receptors=receptors)), 1)
 
 
 def ring(seed: int = 0) -> Bundle:

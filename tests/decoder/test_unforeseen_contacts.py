@@ -9,6 +9,7 @@ import pytest
 
 from phytac_decoder.estimation import contact_fit, place_average
 from phytac_decoder.estimation.contact_estimates import LocatedContact
+from phytac_decoder.estimation.contact_fit import ShiftObservation
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
 from phytac_decoder.io.bundle import STIFFNESS_CHANGE, load_bundle, save_bundle
@@ -116,6 +117,30 @@ def test_an_unknown_shape_widens_the_interval_of_a_large_contact() -> None:
         shape = SETTINGS.extent_share * excess[-1] * found.raw_N
         assert shape <= found.raw_sd_N < shape + 0.08
     assert excess == pytest.approx([0.0, 2.0, 2.0], abs=0.4)
+
+
+@pytest.mark.parametrize("chi2", [1.0, 2.0])
+def test_other_unknowns_are_fitted_again_while_motion_is_unexplained(chi2: float) -> None:
+    """Else what the tables have wrong would look like contacts that hide behind others."""
+    locator, noise = flat_locator(), np.random.default_rng(1).normal(0.0, 0.02, (len(MARKERS), 2))
+    seen = ShiftObservation(
+        koi=np.array([nearest(AT)]),
+        shift_px=shifts(AT, 9.0) + noise.ravel(),
+        found=np.ones(2 * len(MARKERS), dtype=np.bool_),
+    )
+    best = replace(locator._fit_switched(seen), reduced_chi2=chi2)
+    weighted = best.inverse * (seen.shift_px - best.predicted_px)
+    rows = locator._first.astype(np.float64)
+    plain = np.maximum(rows @ weighted, 0.0) ** 2 / (rows**2 @ best.inverse)
+    _, gain = locator._by_residual(best, seen, slice(None))
+    # Near the contact, others take most of what one more would add.
+    near = np.linalg.norm(locator.places.point_mm - AT, axis=1) < 6.0
+    ratio = gain[near & (plain > 0.0)] / plain[near & (plain > 0.0)]
+    if chi2 < SETTINGS.chi2_unexplained:
+        np.testing.assert_allclose(ratio, 1.0, rtol=1e-3)
+    else:
+        assert ratio.min() > 0.99
+        assert np.median(ratio) > 2.0
 
 
 def test_only_contacts_on_switches_leave_their_prior_and_not_far() -> None:
