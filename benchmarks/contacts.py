@@ -17,7 +17,7 @@ from benchmarks.harness import Table, run_parts
 from phytac_decoder.estimation.contact_fit import ContactPrior, initial_state
 from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.mechanics.interaction_table import add_interactions, interaction_likeness
-from phytac_decoder.mechanics.response_table import ResponseTable, softening_of
+from phytac_decoder.mechanics.response_table import softening_of
 from phytac_design.design.design_file import load_design
 from phytac_design.engine.stage import Context
 from phytac_design.simulation.contacts import Contacts
@@ -51,7 +51,7 @@ SETS: list[tuple[list[int], list[float]]] = [
     ([0, 1, 6, 10], [15.0, 15.0, 15.0, 15.0]),
     ([0, 1, 4, 9, 11], [12.0, 12.0, 12.0, 12.0, 12.0]),
 ]
-"""Discs that press at once, and their forces."""
+"""Discs that press at once, and their forces, N."""
 
 
 class Discs:
@@ -111,16 +111,13 @@ class Discs:
 
     def tabulated(self, ids: list[int], force_N: list[float]) -> FloatArray:
         """Return the shifts by the decoder's tables."""
-        return _by_tables(self.places, self.point_mm[ids], force_N)
-
-
-def _by_tables(places: ResponseTable, points_mm: FloatArray, force_N: list[float]) -> FloatArray:
-    prior = ContactPrior(place_mm=1.0)
-    states = [
-        initial_state(places, prior, point, f) for point, f in zip(points_mm, force_N, strict=True)
-    ]
-    shifts = [shift for shift, _ in predicted_shifts(places, states)]
-    return np.asarray(np.sum(shifts, axis=0))
+        prior = ContactPrior(place_mm=1.0)
+        states = [
+            initial_state(self.places, prior, point, f)
+            for point, f in zip(self.point_mm[ids], force_N, strict=True)
+        ]
+        shifts = [shift for shift, _ in predicted_shifts(self.places, states)]
+        return np.asarray(np.sum(shifts, axis=0))
 
 
 def add_rows(table: Table, *, quick: bool) -> None:

@@ -216,8 +216,8 @@ def measure(model: ForceModel, samples: Samples, column_sd: float) -> MeasuredCo
     With large displacements, terms by the square of each force and by the forces of each two are
     measured as well. Each entry has the model's as prior mean, and as prior standard deviation
     ``column_sd`` times the marker's shift by design, for squares at the largest force of the data
-    and of the tables, or ``PAIR_SD`` times an interaction by the tables (Bayesian linear
-    regression, a marker at a time).
+    and of the tables, or ``PAIR_SD`` times an interaction by the tables, ``SOLVED_PAIR_SD`` times
+    one that was solved (Bayesian linear regression, a marker at a time).
     """
     count = len(model.height_z_mm)
     force = _key_node_forces(samples, count)

@@ -27,10 +27,10 @@ under the contact itself."""
 NOISE_LEAST_px = 0.01
 """Noise of shifts against which that is weighed, at least."""
 MISREAD_NOISES, MISREAD_SHARE = 10.7, 0.2
-"""A marker's shift is not explained beyond so many standard deviations of noise, and this share of
-the predicted shift around it."""
+"""A marker's shift is not explained beyond so many standard deviations of its noise (15 of a
+centroid's), and this share of the predicted shift around it."""
 BEYOND_LINEAR_SHARE = 0.4
-"""The same share of what large displacements add."""
+"""Added to that share where the prediction is of linear shifts alone."""
 MISREAD_MAX = 3
 """Number of such markers up to which they are taken as misread, and left out: another marker, or a
 highlight, was taken for them. More are something that is not modelled."""
