@@ -15,7 +15,11 @@ from phytac_decoder.estimation.contact_fit import (
     initial_state,
 )
 from phytac_decoder.estimation.contact_shifts import ContactState, centre_of, predicted_shifts
-from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
+from phytac_decoder.estimation.locator import (
+    SETTINGS,
+    ContactLocator,
+    _change_without_tentative_N,
+)
 from phytac_decoder.mechanics.interaction_table import (
     InteractionGrowth,
     InteractionTable,
@@ -319,9 +323,16 @@ def test_a_tentative_contact_is_not_reported_and_takes_its_own_force(
     # Without an interaction table nothing is tentative.
     (alone,) = plain.find(seen.reshape(-1, 2), koi).contacts
     assert alone.force_N > 10.05
-    monkeypatch.setattr(
-        "phytac_decoder.estimation.locator.SETTINGS", replace(SETTINGS, tentative_chi2_drop=1e9)
-    )
+    # Whether it is there is not known: the interval holds the force in either case.
+    assert found.state is not None
+    (change_N,) = _change_without_tentative_N(found.state.fit, [0])
+    assert 0.5 < change_N / (alone.force_N - contact.force_N) < 2.0
+    module = "phytac_decoder.estimation.locator"
+    monkeypatch.setattr(f"{module}._change_without_tentative_N", lambda *_: np.zeros(1))
+    (narrow,) = locator.find(seen.reshape(-1, 2), koi).contacts
+    wider_N = np.sqrt(contact.sd_N**2 - narrow.sd_N**2)
+    assert wider_N == pytest.approx(change_N, rel=1e-6)
+    monkeypatch.setattr(f"{module}.SETTINGS", replace(SETTINGS, tentative_chi2_drop=1e9))
     (accepted,) = locator.find(seen.reshape(-1, 2), koi).contacts
     assert accepted.force_N == alone.force_N
 

@@ -131,6 +131,19 @@ def sd_with_factor(force_N: FloatArray, sd_N: FloatArray, factor_sd: float) -> F
     return np.asarray(force_N * np.expm1(np.hypot(own, INTERVAL_SDS * factor_sd)) / INTERVAL_SDS)
 
 
+def _change_without_tentative_N(fit: ContactFit, accepted: Sequence[int]) -> FloatArray:
+    """Return by how much forces (c,) of accepted contacts change if the tentative ones are absent.
+
+    By linear theory. Errors of a picture may look like a contact, which then takes force from its
+    neighbours, or gives them some.
+    """
+    tentative = [k for k, state in enumerate(fit.states) if state.tentative]
+    covariance = fit.covariance[::UNKNOWNS, ::UNKNOWNS]
+    force = np.array([fit.states[k].x[0] for k in tentative])
+    own = covariance[np.ix_(tentative, tentative)]
+    return np.asarray(covariance[np.ix_(accepted, tentative)] @ np.linalg.solve(own, -force))
+
+
 @dataclass(frozen=True, kw_only=True)
 class ContactLocator:
     """Locates the contacts of one sensor.
@@ -665,6 +678,7 @@ class ContactLocator:
             spread_N = self.correction.spread_N(force, sd[:, 0])
             stiffness_sd = self.stiffness_change
         stated_N = np.hypot(sd_with_factor(force, spread_N, stiffness_sd), self._linear_sd_N(raw))
+        stated_N = np.hypot(stated_N, force / raw * _change_without_tentative_N(best, accepted))
         spread_N = np.hypot(spread_N, stiffness_sd * force)
         for k, state in enumerate(states):
             on, share = koi[owner == k], covered[k, owner == k]
