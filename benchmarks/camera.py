@@ -13,7 +13,7 @@ wrong if all errors were exactly as stated. ::
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.camera_faults import HARD, MILD
+from benchmarks.camera_faults import HARD, MILD, Picture
 from benchmarks.decoder_evaluation import by_design, mechanics
 from benchmarks.harness import Table, run_parts
 from phytac_decoder.camera.camera import Camera
@@ -29,6 +29,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
 from phytac_decoder.pipeline.frame_reading import Reading, read
+from phytac_design.core.workers import WorkerPool
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
@@ -55,6 +56,10 @@ MOTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float],
     "tilt 0.3 deg": ((0, 0, 0), (0, 0.3, 0), 0.0),
 }
 """Translation, mm, rotation, degrees, and change of focal length, %, after the rest frame."""
+PICTURES = {"mild": MILD, "hard": HARD}
+"""Disturbances of the picture, by kind."""
+WORKERS = 2
+"""Processes that share the conditions of a part."""
 DESIGNS = ("cylinder60", "examples/uses/handle.toml", "hemisphere", "grip")
 PRESSES = 100
 NEAR_MM = 8.0
@@ -112,15 +117,6 @@ class Bench:
     def count(self) -> int:
         """Number of presses."""
         return self.pressed.contacts.samples
-
-    @cached_property
-    def usual_warnings(self) -> float:
-        """Share of undisturbed frames with a warning, most by contacts between switches."""
-        camera = self.context.sensor.cameras[0]
-        bundle = calibrate_rest(self.bundle, [self.frame(None, camera)])
-        frames = ((k, self.frame(k, camera)) for k in range(self.count))
-        out = judge_all(self, bundle, frames)
-        return (out.warned + out.refused) / out.frames
 
     def frame(self, index: int | None, camera: Camera, *, seed: int | None = None) -> ImageArray:
         """Noisy frame of one press, or at rest (None), through a camera."""
@@ -212,64 +208,107 @@ def judge_all(bench: Bench, bundle: Bundle, frames: Iterator[tuple[int, ImageArr
 
 
 def add_row(
-    table: Table, bench: Bench, condition: str, modes: dict[str, Outcome]
+    table: Table, design: str, condition: str, modes: dict[str, Outcome]
 ) -> tuple[int, float]:
     """Row of one condition in one or more modes; return the silently wrong ones, and by chance."""
     silent = sum(out.silent for out in modes.values())
     notes = "; ".join(f"{mode}: {out}" for mode, out in modes.items())
-    case = f"{bench.context.design.name}, {condition}: silently wrong contacts"
+    case = f"{design}, {condition}: silently wrong contacts"
     table.add(case, silent, "", 0, "project target", "== 0", notes)
     return silent, sum(out.expected for out in modes.values())
 
 
-def add_motions(table: Table, bench: Bench) -> None:
-    """Rows of cameras that have moved after the rest frame."""
-    camera = bench.context.sensor.cameras[0]
-    bundle = calibrate_rest(bench.bundle, [bench.frame(None, camera)])
-    counts = []
-    for name, (shift, turn, zoom) in MOTIONS.items():
-        through = moved(camera, np.array(shift), np.array(turn, dtype=float), zoom)
-        frames = ((k, bench.frame(k, through)) for k in range(bench.count))
-        counts.append(add_row(table, bench, name, {"drift": judge_all(bench, bundle, frames)}))
-    add_sum(table, bench, "motion", counts)
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """Conditions of one design, with what they share.
 
+    Attributes
+    ----------
+    bench : Bench
+        Decoder and presses.
+    rest : (h, w, 3) uint8
+        Undisturbed frame at rest.
+    calibrated : Bundle
+        Decoder with that rest frame.
+    """
 
-def add_pictures(table: Table, bench: Bench, part: str) -> None:
-    """Rows of disturbed pictures."""
-    camera = bench.context.sensor.cameras[0]
-    rest, clean = bench.frame(None, camera), [bench.frame(k, camera) for k in range(bench.count)]
-    still = [bench.frame(None, camera, seed=1000 + k) for k in range(8)]
-    calibrated = calibrate_rest(bench.bundle, [rest])
-    counts, refused = [], []
-    for name, picture in {"mild": MILD, "hard": HARD}[part].items():
+    bench: Bench
+    rest: ImageArray
+    calibrated: Bundle
+
+    @classmethod
+    def of(cls, design: str, presses: int) -> "Conditions":
+        """Return those of a design."""
+        bench = bench_of(design, presses)
+        rest = bench.frame(None, bench.context.sensor.cameras[0])
+        return cls(bench=bench, rest=rest, calibrated=calibrate_rest(bench.bundle, [rest]))
+
+    @property
+    def camera(self) -> Camera:
+        """Camera that has not moved."""
+        return self.bench.context.sensor.cameras[0]
+
+    @cached_property
+    def clean(self) -> list[ImageArray]:
+        """Undisturbed frame of each press."""
+        return [self.bench.frame(k, self.camera) for k in range(self.bench.count)]
+
+    @cached_property
+    def still(self) -> list[ImageArray]:
+        """Undisturbed frames with nothing pressed."""
+        return [self.bench.frame(None, self.camera, seed=1000 + k) for k in range(8)]
+
+    def moved(self, name: str) -> dict[str, Outcome]:
+        """Outcome, by mode, with a camera that has moved after the rest frame."""
+        shift, turn, zoom = MOTIONS[name]
+        through = moved(self.camera, np.array(shift), np.array(turn, dtype=float), zoom)
+        frames = ((k, self.bench.frame(k, through)) for k in range(self.bench.count))
+        return {"drift": judge_all(self.bench, self.calibrated, frames)}
+
+    def disturbed(self, picture: Picture) -> dict[str, Outcome]:
+        """Outcomes, by mode, of disturbed pictures."""
         rng = np.random.default_rng(11)
-        pressed = [picture(frame, rng) for frame in clean]
-        modes = {"drift": judge_all(bench, calibrated, iter(enumerate(pressed)))}
-        idle = ((-1, picture(frame, rng)) for frame in still)
-        modes["idle"] = judge_all(bench, calibrated, idle)
+        pressed = [picture(frame, rng) for frame in self.clean]
+        modes = {"drift": judge_all(self.bench, self.calibrated, iter(enumerate(pressed)))}
+        idle = ((-1, picture(frame, rng)) for frame in self.still)
+        modes["idle"] = judge_all(self.bench, self.calibrated, idle)
         try:
-            lit = calibrate_rest(bench.bundle, [picture(rest, rng)])
-            modes["both"] = judge_all(bench, lit, iter(enumerate(pressed)))
+            lit = calibrate_rest(self.bench.bundle, [picture(self.rest, rng)])
+            modes["both"] = judge_all(self.bench, lit, iter(enumerate(pressed)))
         except PhytacError:
             modes["both"] = Outcome(frames=len(pressed), refused=len(pressed))
-        counts.append(add_row(table, bench, name, modes))
-        stopped = [(out.refused + out.warned) / out.frames for out in modes.values()]
-        refused.append(max(stopped) > bench.usual_warnings + 0.1)
-    add_sum(table, bench, part, counts)
-    if part == "mild":
-        table.goal(
-            f"{bench.context.design.name}: mild conditions that are refused or warned of",
-            float(np.mean(refused)),
-            "",
-            "<= 0.1",
-            note="in any mode, in a tenth more frames than undisturbed ones are",
-        )
+        return modes
 
 
-def add_sum(table: Table, bench: Bench, part: str, counts: list[tuple[int, float]]) -> None:
+def outcomes_of(conditions: Conditions, task: tuple[str, str]) -> dict[str, Outcome]:
+    """Outcomes, by mode, of one condition by its kind and name."""
+    kind, name = task
+    if kind == "motion":
+        return conditions.moved(name)
+    return conditions.disturbed(PICTURES[kind][name])
+
+
+def add_refusals(table: Table, design: str, outcomes: Sequence[dict[str, Outcome]]) -> None:
+    """Row of mild conditions, the first of which is no disturbance."""
+
+    def stopped(out: Outcome) -> float:
+        return (out.refused + out.warned) / out.frames
+
+    usual = stopped(outcomes[0]["drift"])
+    refused = [max(map(stopped, modes.values())) > usual + 0.1 for modes in outcomes]
+    table.goal(
+        f"{design}: mild conditions that are refused or warned of",
+        float(np.mean(refused)),
+        "",
+        "<= 0.1",
+        note="in any mode, in a tenth more frames than undisturbed ones are",
+    )
+
+
+def add_sum(table: Table, design: str, part: str, counts: list[tuple[int, float]]) -> None:
     """Row of all conditions of a part."""
     silent, expected = np.sum(counts, axis=0).tolist()
-    case = f"{bench.context.design.name}, {part}: silently wrong in all"
+    case = f"{design}, {part}: silently wrong in all"
     note = f"{expected:.1f} by chance if all errors were as stated"
     table.add(case, silent, "", 0, "project target", "== 0", note)
 
@@ -282,11 +321,20 @@ def bench_of(design: str, presses: int) -> Bench:
 
 def add_part(table: Table, *, design: str, kind: str, quick: bool) -> None:
     """Rows of one kind of disturbance on one design."""
-    bench = bench_of(design, 3 if quick else PRESSES)
-    if kind == "motion":
-        add_motions(table, bench)
-    else:
-        add_pictures(table, bench, kind)
+    names = list(MOTIONS if kind == "motion" else PICTURES[kind])
+    arguments = (design, 3 if quick else PRESSES)
+    outcomes: list[dict[str, Outcome]] = [{}] * len(names)
+    with WorkerPool(outcomes_of, workers=WORKERS, start=Conditions.of, arguments=arguments) as pool:
+        for result in pool.run([(kind, name) for name in names]):
+            if result.lost:
+                raise RuntimeError(f"{names[result.index]}: {result.lost}")
+            outcomes[result.index] = result.value
+            print(f"{names[result.index]} is done", flush=True)
+    own = load_design(design).name
+    rows = zip(names, outcomes, strict=True)
+    add_sum(table, own, kind, [add_row(table, own, name, modes) for name, modes in rows])
+    if kind == "mild":
+        add_refusals(table, own, outcomes)
 
 
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
