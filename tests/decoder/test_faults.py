@@ -274,10 +274,7 @@ def test_markers_run_into_one_do_not_pull_forces() -> None:
     assert np.flatnonzero(~seen.found).tolist() == [45, 46]
     assert np.isnan(seen.shift_px[[45, 46]]).all()
     forces = seen.forces_N(BUNDLE, "koi_inverse")
-    assert abs(forces[45] - FORCES[45]) < 1.0
-    # What the place of the blob would have made of it.
-    kept = replace(seen, shift_px=np.where(seen.found[:, None], seen.shift_px, [PITCH / 2.0, 0.0]))
-    assert abs(kept.forces_N(BUNDLE, "koi_inverse")[45] - FORCES[45]) > 2.0
+    assert abs(forces[45] - FORCES[45]) < 0.5
 
 
 def test_motion_of_what_is_not_seen_is_its_neighbours() -> None:
@@ -415,7 +412,7 @@ def test_a_contact_without_a_switch_excuses_nobody() -> None:
     bundle, both = flat_bundle(), flat_sensor.shifts(AT, 5.0) + light
     found = bundle.model.contacts(both.reshape(-1, 2), np.array([flat_sensor.nearest(AT)]))
     assert [len(contact.markers) for contact in found.contacts] == [1, 0]
-    assert suspects(bundle, both, AT) == [77]
+    assert suspects(bundle, both, AT) == [55, 77]
 
 
 def test_tables_are_not_asked_about_many_markers() -> None:
