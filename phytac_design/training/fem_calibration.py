@@ -103,7 +103,8 @@ def fit_mechanics(
     footprint_px : (2n, n) float
         Shifts per newton on the switches' footprints.
     samples, validation : Samples
-        With points: to fit to, and to decide whether measured columns are better.
+        With points: to fit to, and to decide whether measured columns are better, and how key nodes
+        count then.
     receptors : ReceptorSolver, optional
         Solves large displacements by the design.
     """
@@ -132,14 +133,18 @@ def fit_mechanics(
         modulus=fit.modulus,
         tip_sd_px=fit.tip_sd_px,
     )
-    tries = [stiff, *(replace(stiff, measured=measure(stiff, samples, sd)) for sd in COLUMN_SDS)]
+    tries = [stiff]
+    for column_sd in COLUMN_SDS:
+        # Measured columns hold what a tip usually covers: key nodes may count for more.
+        better = replace(stiff, measured=measure(stiff, samples, column_sd))
+        tries += [replace(better, tip_sd_px=tip_sd_px) for tip_sd_px in TIP_SDS_px]
     errors = [_error_N(tried, validation) for tried in tries]
     model = tries[int(np.argmin(errors))]
     return CalibratedMechanics(
         model=model,
         modulus=fit.modulus,
         spread=fit.spread,
-        tip_sd_px=fit.tip_sd_px,
+        tip_sd_px=model.tip_sd_px,
         receptors=len(table.marker) if table else 0,
         columns=0 if model.measured is None else len(model.measured.marker),
         error_N=fit.error_N,
