@@ -34,7 +34,7 @@ from tests.designs import DRAWN, drawn
 FORCE_N = 15.0
 ACCURACY = replace(PRESETS["draft"], sample_share=0.1, place_share=1.6)
 """Few samples and places: one press is judged."""
-WHOLE = ("grip", "patch")
+WHOLE = ("patch",)
 """Families of which every `make test` builds one, and `make test-all` one of each."""
 seeds = st.integers(0, 2**32 - 1)
 every_family = pytest.mark.parametrize("kind", sorted(REGISTRY))

@@ -91,7 +91,13 @@ def ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return answered
 
 
-@pytest.mark.parametrize("kind", FAMILIES)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=[pytest.mark.long] * (kind in ("cone", "cuboid")))
+        for kind in FAMILIES
+    ],
+)
 def test_a_first_design_passes_the_check(kind: str) -> None:
     design = made(kind)
     assert checkup(design)["clear"]

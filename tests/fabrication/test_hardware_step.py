@@ -77,7 +77,7 @@ def test_both_kernels_make_the_same_solid(node: Node, volume: float | None) -> N
     assert found == pytest.approx(list(mesh.bounding_box()), abs=0.01)
 
 
-@pytest.mark.parametrize("name", ["cylinder60", "patch"])
+@pytest.mark.parametrize("name", ["cylinder60", pytest.param("patch", marks=pytest.mark.long)])
 def test_parts_agree_and_come_back_from_step(name: str, tmp_path: Path) -> None:
     _, surface, _, kit = case(name)
     kernel = CadKernel(surface)

@@ -187,7 +187,9 @@ def test_receptors_are_judged_from_the_design() -> None:
     assert all(v.marker is not None and v.measured < 0.3 for v in gaps)
 
 
-@pytest.mark.parametrize("name", ["cylinder40", "hemisphere", "patch"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("cylinder40", marks=pytest.mark.long), "hemisphere", "patch"]
+)
 def test_shipped_shells_break_no_rule(name: str, tmp_path: Path) -> None:
     case = built(shipped(name))
     write_stl(

@@ -74,7 +74,11 @@ def spread(rows: int, presses: int) -> tuple[Mixture, FloatArray, IntArray]:
 
 
 @pytest.mark.parametrize(
-    ("presses", "force_noise"), [(400, 0.0), (20, 0.02)], ids=["single", "shared"]
+    ("presses", "force_noise"),
+    [
+        pytest.param(400, 0.0, id="single", marks=pytest.mark.long),
+        pytest.param(20, 0.02, id="shared"),
+    ],
 )
 def test_intervals_hold_and_are_not_idle(presses: int, force_noise: float) -> None:
     model, share, press = spread(400, presses)

@@ -28,7 +28,9 @@ mv seen.part seen
 """Stands in for a browser: notes its arguments and the file it was to show."""
 
 
-@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "sign", [pytest.param(signal.SIGTERM, marks=pytest.mark.long), signal.SIGINT]
+)
 def test_the_token_is_in_no_command_line_and_the_file_is_removed(
     tmp_path: Path, sign: signal.Signals
 ) -> None:

@@ -67,7 +67,7 @@ def test_probe_takes_the_judged_bound(probe: LocalModel) -> None:
         ("wall.thickness_mm", 0.02),
         ("material.modulus_MPa", 50.0),
         ("layout.height_far_mm", 0.2),
-        ("camera.focal_px", 5.0),
+        pytest.param("camera.focal_px", 5.0, marks=pytest.mark.long),
         ("receptor.diameter_outer_mm", 0.05),
         ("layout.row_pitch_exponent", 0.01),
     ],
