@@ -178,6 +178,7 @@ def test_training_keeps_the_print_and_evaluation_names_another(
 ) -> None:
     # What is learnt does not matter here.
     monkeypatch.setattr(train_decoder, "TRAINERS", train_decoder.TRAINERS[:1])
+    monkeypatch.setattr("phytac_design.workflows.evaluate_decoder.draw", lambda *_: {})
     uv = make_markers(DESIGN, DESIGN.surface()).uv
     said: list[str] = []
 

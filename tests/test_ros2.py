@@ -158,7 +158,7 @@ def test_pictures_are_published_if_asked_for(domain: str, tmp_path: Path) -> Non
             with subscribed(domain, "wrench", "camera/image_raw") as other:
                 assert other.stdout is not None
                 assert other.stdout.readline() == "ready\n"
-                time.sleep(1.0)
+                time.sleep(0.6)
                 printed, _ = other.communicate("end\n", timeout=PATIENCE_S)
         finally:
             serving.terminate()

@@ -29,7 +29,7 @@ def test_settings_of_an_earlier_user_go() -> None:
 
 def test_hello_is_repeated_even_on_a_full_port() -> None:
     """Frames come faster than they go out, so that two always wait."""
-    limits = ClientLimits(hello_again_s=0.15)
+    limits = ClientLimits(hello_again_s=0.09)
     master, slave = os.openpty()
     port = SerialPort(Path(os.ttyname(slave)))
     hello = {"type": "hello", "name": "x" * 100}
@@ -47,7 +47,7 @@ def test_hello_is_repeated_even_on_a_full_port() -> None:
     reader = threading.Thread(target=read)
     reader.start()
     with StreamServer(hello, port=0, serial=port, limits=limits) as server:
-        until = time.monotonic() + 2.0
+        until = time.monotonic() + 1.2
         sent = 0
         while time.monotonic() < until:
             server.publish({"type": "frame", "sequence": sent, "pad": "y" * 5000})
