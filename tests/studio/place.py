@@ -8,8 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from phytac_design.studio.server import StudioServer
+from tests.studio.checks import exact_without_bowls
 
 DESIGN = """# A short sensor.
 name = "short"        # in exports
@@ -75,7 +77,8 @@ def studio(root: Path, design: str = "") -> Iterator[StudioServer]:
     path = root / "short.toml"
     if not path.exists():
         path.write_text(DESIGN, encoding="utf-8")
-    running = StudioServer(root, design or str(path))
+    with mock.patch("phytac_design.studio.web_app.exact_in_worker", exact_without_bowls):
+        running = StudioServer(root, design or str(path))
     ready = threading.Event()
     thread = threading.Thread(target=lambda: running.run(ready=lambda _: ready.set()))
     thread.start()
