@@ -154,7 +154,7 @@ def test_training_solves_them_where_forces_act_on_few_footprints(
         asked.append((marker.tolist(), sorted(pair.T.tolist()), spread))
         return receptors(marker=marker)
 
-    samples, validation = pressed(real, 40, 1, IDS), pressed(real, 8, 2, IDS)
+    samples, validation = pressed(real, 24, 1, IDS), pressed(real, 6, 2, IDS)
     found = fit_mechanics(plain, LINEAR, samples, validation, solver)
     ((marker, pair, spread),) = asked
     assert marker == IDS.tolist()

@@ -129,7 +129,7 @@ def test_receptors_stiffen_the_wall() -> None:
 
 def test_more_than_the_shell_carries_is_refused() -> None:
     with refused("strain-too-large"):
-        pressed(5e4, "large")
+        pressed(3e3, "large")
 
 
 def test_no_equilibrium_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:

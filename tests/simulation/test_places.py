@@ -81,6 +81,8 @@ class Bench:
 
 
 DESIGN = small(camera=FINE_CAMERA)
+SPACING_mm = 3.5
+"""Of the places that most tests share; at 4 mm the median of what is interpolated misses 1 %."""
 BENCH = Bench(DESIGN)
 SURFACE, MARKERS, SEE = BENCH.surface, BENCH.markers, BENCH.see
 
@@ -91,7 +93,9 @@ def made(refine: int, **how: Any) -> TabulatedResponse:
 
 
 @cache
-def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> TabulatedResponse:
+def tabulated(
+    orders: int = 3, spacing_mm: float = SPACING_mm, refine: int = 4
+) -> TabulatedResponse:
     return made(refine, spacing_mm=spacing_mm, orders=orders)
 
 
@@ -103,7 +107,7 @@ def truth(place: int, places: ResponseTable, force_N: float) -> FloatArray:
 @cache
 def solver() -> Solver:
     unit = draw_sensor_instance(Sensor.of(DESIGN, SURFACE, MARKERS), SensorInstanceSection(), 0)
-    return Solver(DESIGN, SURFACE, unit, refine=8, displacement="large")
+    return Solver(DESIGN, SURFACE, unit, refine=6, displacement="large")
 
 
 def true_shifts(
@@ -170,7 +174,7 @@ def test_turned_copies_are_what_would_be_solved() -> None:
     assert done.solves < 0.3 * len(done.places.point_mm)
     assert done.unsure == 0
     columns = MARKERS.lattice.columns if MARKERS.lattice else 1
-    ring = rings(SURFACE, 3.0, columns)
+    ring = rings(SURFACE, SPACING_mm, columns)
     place = int(np.argmax(ring.turns == 3))
     base = int(ring.base[place])
     # The camera stands on the axis: what is turned in space is turned in the image.
@@ -207,7 +211,7 @@ def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
     assert 2 * done.bent < done.solves
     shell = BENCH.discs(*BENCH.shell(4), orders=3)
     columns = MARKERS.lattice.columns if MARKERS.lattice else 1
-    ring = rings(SURFACE, 3.0, columns)
+    ring = rings(SURFACE, SPACING_mm, columns)
     force = DESIGN.training.force_max_N
     gaps = []
     for place in np.arange(0, len(ring.uv), len(ring.uv) // 12).tolist():
@@ -230,7 +234,7 @@ def test_interactions_add_what_two_contacts_do_beyond_their_sum(far_mm: float, w
     alone = [true_shifts(uv[[k]], radius, force) for k in (0, 1)]
     wanted = (true_shifts(uv, radius, force) - alone[0] - alone[1]) / force**2
     (predicted,) = places.pairs.between(SURFACE.point(uv))
-    # Places are 12 mm apart, and the simulated sensor's mesh is twice as fine.
+    # Places are 12 mm apart, and the simulated sensor's mesh is 1.5 times as fine.
     assert off(predicted, wanted) < 0.4
     assert predicted @ wanted > 0.97 * np.linalg.norm(predicted) * np.linalg.norm(wanted)
 

@@ -40,7 +40,7 @@ class Bench:
 @cache
 def bench(shape: str, orders: int = 4) -> Bench:
     sizes: dict[str, Any] = {"width_mm": 48.0, "height_mm": 36.0}
-    refine, spacing_mm = 4, 4.0
+    refine, spacing_mm = 4, 5.0
     if shape == "cuboid":
         refine, spacing_mm, orders = 3, 6.0, 2  # of the box only signs and bounds are asked
         sizes = {"width_mm": 36.0, "depth_mm": 36.0, "length_mm": 48.0, "edge_radius_mm": 5.0}
