@@ -136,18 +136,20 @@ def test_ctrl_c_leaves_no_process_and_nothing_half_made(root: Path) -> None:
 
 
 SCRIPT = """
-from phytac_design.stages.build import run_stages
-from tests.designs import COARSE, tiny
-from tests.stage_works import graph, wait
 def say(text):
     print(text, flush=True)
-if __name__ == "__main__":
+if __name__ == "__main__":  # workers read this file as well, and need none of these
+    from phytac_design.stages.build import run_stages
+    from tests.designs import COARSE, tiny
+    from tests.stage_works import graph, wait
     stages = graph(a=(wait, ""), b=(wait, ""))
     run_stages(tiny(), stages, accuracy=COARSE, seed=0, workers=2, progress=say)
 """
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+)
 def test_workers_end_with_the_build(how: signal.Signals, tmp_path: Path, root: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
