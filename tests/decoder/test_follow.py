@@ -80,8 +80,9 @@ def disc(image: FloatArray, centre: FloatArray, radius: float, colour: FloatArra
     if x1 <= 0 or y1 <= 0:
         return
     part = image[y0:y1, x0:x1]
-    y, x = np.mgrid[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1]]
-    cover = np.clip(radius + 0.5 - np.hypot(x - centre[0], y - centre[1]), 0.0, 1.0)[:, :, None]
+    y, x = y0 + np.arange(part.shape[0])[:, None], x0 + np.arange(part.shape[1])
+    away = np.hypot(x - centre[0], y - centre[1])
+    cover = np.minimum(np.maximum(radius + 0.5 - away, 0.0), 1.0)[:, :, None]
     part += cover * (colour - part)
 
 

@@ -28,11 +28,13 @@ def discs(
 ) -> np.ndarray:
     """Anti-aliased discs on grey, drawn large and averaged down."""
     image = np.full((120 * scale, 160 * scale, 3), GREY, dtype=np.uint8)
-    y, x = np.mgrid[0 : 120 * scale, 0 : 160 * scale]
+    # Pixel centres of the small image are integers: big pixel b is at (b + 0.5)/scale - 0.5.
+    y, x = ((np.arange(count * scale) + 0.5) / scale - 0.5 for count in (120, 160))
     for (cx, cy), name in zip(centres, names, strict=True):
-        # Pixel centres of the small image are integers: big pixel b is at (b + 0.5)/scale - 0.5.
-        inside = np.hypot((x + 0.5) / scale - 0.5 - cx, (y + 0.5) / scale - 0.5 - cy) < radius
-        image[inside] = PAINTS[name][::-1]
+        rows, columns = (np.flatnonzero(np.abs(k - c) < radius) for k, c in ((y, cy), (x, cx)))
+        part = np.ix_(rows, columns)
+        inside = np.hypot(x[columns] - cx, y[rows, None] - cy) < radius
+        image[part] = np.where(inside[:, :, None], PAINTS[name][::-1], image[part])
     return cv2.resize(image, (160, 120), interpolation=cv2.INTER_AREA)
 
 

@@ -207,7 +207,7 @@ def test_slope_of_a_known_cone() -> None:
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("clearance", [0.1, 0.3])
 def test_keys_have_the_clearance_that_is_asked(way: str, clearance: float) -> None:
-    switches = switch_set()
+    switches = switch_set((2.0,))
     (made,) = molds(switches, way=way, key_clearance_mm=clearance)
     audit = audit_of(made, switches)
     assert audit.key_gap_mm == pytest.approx(clearance, abs=1e-4)

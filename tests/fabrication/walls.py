@@ -8,7 +8,7 @@ from phytac_shapes.arrays import FloatArray
 
 GAUSS = (30, 6)
 """Cells of an edge and points in each."""
-MIDPOINTS = (8_000, 1)
+MIDPOINTS = (2_000, 1)
 """The same around a tube, whose curvature may jump."""
 OFFSETS = 3
 STEP = 1e-4

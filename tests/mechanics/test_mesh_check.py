@@ -73,12 +73,12 @@ def test_a_tube_of_three_walls_at_an_edge_is_refused_and_a_crease_is_not() -> No
 
 @pytest.mark.parametrize(
     ("sides", "thickness", "jitter", "sound"),
-    [(32, 1e-4, 0.25, False), (32, 1e-4, 0.0, True), (32, 1e-3, 0.25, True), (96, 1e-4, 0.1, True)],
+    [(32, 1e-4, 0.25, False), (32, 1e-4, 0.0, True), (32, 1e-3, 0.25, True), (64, 1e-4, 0.1, True)],
 )
 def test_distorted_elements_of_a_thin_wall_are_refused(
     sides: int, thickness: float, jitter: float, *, sound: bool
 ) -> None:
-    """Free hyperboloids, whose bending locks on them (verification: by 41, 0.1, 1.6 and 0.2 %)."""
+    """Free hyperboloids, whose bending locks on them: by 41, 0.1, 1.6 and less than 1 %."""
     case = cases.hyperboloid_case(sides, thickness=thickness, jitter=jitter)
     if sound:
         assert abs(case.ratio() - 1.0) < 0.05
