@@ -57,7 +57,7 @@ def not_finite(value: Any, name: str = "") -> list[str]:
 
 
 @every_family
-@settings(again, max_examples=5)
+@settings(again, max_examples=3)
 @given(seed=seeds)
 def test_markers_lie_on_the_wall_and_are_nodes_of_its_mesh(kind: str, seed: int) -> None:
     design = drawn(kind, seed)
@@ -73,7 +73,7 @@ def test_markers_lie_on_the_wall_and_are_nodes_of_its_mesh(kind: str, seed: int)
 
 
 @every_family
-@settings(again, max_examples=2)
+@settings(again, max_examples=1)
 @given(seed=seeds)
 def test_any_design_is_checked(kind: str, seed: int) -> None:
     report = checkup(drawn(kind, seed))

@@ -152,7 +152,7 @@ def quadrature(surface: phytac_shapes.Surface, offset: float, cells: int = 160) 
 
 
 @every_shape
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(seed=seeds)
 def test_area_and_wall_volume_match_quadrature(kind: str, seed: int) -> None:
     surface, _, _ = draw(kind, seed)

@@ -282,7 +282,7 @@ def small_designs() -> st.SearchStrategy[Design]:
     )
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(case=small_designs())
 def test_every_accepted_design_builds_one_body_of_the_right_genus(case: Design) -> None:
     try:

@@ -67,7 +67,7 @@ def drawn_wall(surface: phytac_shapes.Surface) -> WallSection:
 
 
 @every_shape
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(seed=seeds)
 @example(seed=5000)
 def test_every_drawn_wall_is_one_closed_body(kind: str, seed: int) -> None:

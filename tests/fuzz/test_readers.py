@@ -54,7 +54,7 @@ QUIET = settings(
 def test_malformed_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
     """The first inputs of the long run (``python -m benchmarks.page --parts fuzz``)."""
     place = InputFolder(tmp_path)
-    counts = read_inputs(name, range(120), place)
+    counts = read_inputs(name, range(70), place)
     assert read_inputs(name, ONCE.get(name, ()), place).faults == []
     assert counts.faults == []
     assert min(counts.read, counts.refused) >= 5
@@ -67,7 +67,7 @@ def test_any_value_at_any_key(kind: str, tmp_path: Path) -> None:
     tables = [tomllib.loads(seed.decode()) for seed in shipped(kind) if len(seed) < 20_000]
     path = tmp_path / "x.toml"
 
-    @settings(QUIET, max_examples=25)
+    @settings(QUIET, max_examples=15)
     @given(data=st.data())
     def check(data: st.DataObject) -> None:
         table = json.loads(json.dumps(data.draw(st.sampled_from(tables))))
