@@ -83,6 +83,15 @@ def ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(switch_feasibility, "misfit", lambda *_: "")
     monkeypatch.setattr(switch_feasibility, "far_too_high", lambda *_: "")
     monkeypatch.setattr(switch_feasibility, "feasible_range", lambda *_: None)
+    exact, known = first_design, dict[str, Any]()
+
+    def once(name: str, *given: Any, progress: Any, **options: Any) -> Any:
+        # Asked again with the same answers, for another file.
+        if (key := repr((given, options))) not in known:
+            known[key] = exact(name, *given, progress=progress, **options)
+        return known[key].model_copy(update={"name": name})
+
+    monkeypatch.setattr(first_design_module, "first_design", once)
 
     def answered(*answers: object, options: tuple[str, ...] = ()) -> Any:
         lines = "".join(f"{answer}\n" for answer in answers)

@@ -55,7 +55,14 @@ class Page(HTMLParser):
         return [attrs for name, attrs in self.tags if name == tag]
 
 
-@pytest.mark.parametrize("name", shipped_designs())
+@pytest.mark.parametrize(
+    "name",
+    [
+        # Tubes like cylinder60.
+        pytest.param(name, marks=[pytest.mark.long] * (name in ("cylinder40", "cone", "grip")))
+        for name in shipped_designs()
+    ],
+)
 def test_designs_show_a_map_of_their_markers(name: str) -> None:
     design = load_design(name)
     markers = make_markers(design, design.surface())

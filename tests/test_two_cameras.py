@@ -136,6 +136,7 @@ def decoded(bundle: Bundle, design: Design, count: int) -> tuple[float, float, i
     return float(np.mean(off)), float(np.mean(force)), wrong
 
 
+@pytest.mark.long
 def test_frames_decode_as_well_as_with_one_camera(built: dict[str, Path]) -> None:
     found = {
         ends: decoded(load_bundle(built[ends] / "decoder"), cylinder(ends), 3)

@@ -165,7 +165,9 @@ def test_the_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not np.allclose(few[0].shift_px, full)
 
 
-@pytest.mark.parametrize(("count", "kept"), [(32, False), (60, True)])
+@pytest.mark.parametrize(
+    ("count", "kept"), [(32, False), pytest.param(60, True, marks=pytest.mark.long)]
+)
 def test_with_few_samples_a_wrong_field_is_dropped(
     count: int, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

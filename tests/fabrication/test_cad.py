@@ -50,7 +50,14 @@ def test_walls_of_all_families_are_valid_and_exact(name: str, sizes: dict[str, f
     assert facts.volume_mm3 == pytest.approx(closed, rel=EXACT)
 
 
-@families
+@pytest.mark.parametrize(
+    "name",
+    [
+        # Their walls are built above.
+        pytest.param(name, marks=[pytest.mark.long] * (name in ("cone", "grip")))
+        for name in sorted(FAMILIES)
+    ],
+)
 def test_shells_of_all_families_go_through_step(name: str, tmp_path: Path) -> None:
     case = built(family_design(name, rows=2, columns=3))
     solid = shell_cad(Sensor.of(*case))

@@ -161,7 +161,9 @@ needs_admesh = pytest.mark.skipif(shutil.which("admesh") is None, reason="admesh
 
 
 @needs_admesh
-@pytest.mark.parametrize("name", ["cylinder60", "cylinder40", "patch"])
+@pytest.mark.parametrize(
+    "name", ["cylinder60", pytest.param("cylinder40", marks=pytest.mark.long), "patch"]
+)
 def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
     case = shipped(name)
     sensor = check_design(case)

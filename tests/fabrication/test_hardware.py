@@ -27,7 +27,14 @@ from phytac_design.solids.solid_mesh import to_triangles
 from tests.fabrication.hardware_cases import SHIPPED, case, changed, solids, switches
 from tests.refusals import refused
 
-every_shape = pytest.mark.parametrize("name", SHIPPED)
+every_shape = pytest.mark.parametrize(
+    "name",
+    [
+        # Tubes like cylinder60.
+        pytest.param(name, marks=[pytest.mark.long] * (name in ("cylinder40", "cone", "grip")))
+        for name in SHIPPED
+    ],
+)
 
 
 def judged(name: str, bodies: dict[str, Any]) -> Any:
@@ -197,7 +204,10 @@ def test_the_lens_stands_where_the_camera_does(name: str) -> None:
         )
 
 
-@pytest.mark.parametrize("name", ["cylinder60", "cone", "cuboid", "hemisphere", "patch"])
+@pytest.mark.parametrize(
+    "name",
+    ["cylinder60", pytest.param("cone", marks=pytest.mark.long), "cuboid", "hemisphere", "patch"],
+)
 def test_the_camera_sees_the_whole_edge(name: str) -> None:
     design, surface, _, kit = case(name)
     (camera,) = cameras_of(design, surface)

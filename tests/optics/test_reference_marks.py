@@ -88,7 +88,13 @@ def test_every_mark_is_seen_apart_from_the_markers() -> None:
     np.testing.assert_allclose(shot.expected.marks_px, expected, atol=0.5)
 
 
-@pytest.mark.parametrize("shape", ["cone", "cuboid", "hemisphere", "plane", "grip"])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        *(pytest.param(shape, marks=pytest.mark.long) for shape in ("cone", "grip")),
+        *("cuboid", "hemisphere", "plane"),
+    ],
+)
 def test_the_camera_of_every_shape_sees_all_marks(shape: str) -> None:
     # Beside a flat wall the nearer row would be hidden by the receptors along the edge.
     gap_mm = 1.5 if shape == "plane" else 0.25

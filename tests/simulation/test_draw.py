@@ -69,7 +69,14 @@ def columns(touches: Contacts) -> dict[str, Any]:
     return {name: array for name, array in vars(touches).items() if name != "samples"}
 
 
-@pytest.mark.parametrize("shape", shipped_designs())
+@pytest.mark.parametrize(
+    "shape",
+    [
+        # Tubes like cylinder60.
+        pytest.param(shape, marks=[pytest.mark.long] * (shape in ("cylinder40", "cone", "grip")))
+        for shape in shipped_designs()
+    ],
+)
 @pytest.mark.parametrize("name", shipped_scenarios())
 def test_every_scenario_runs_on_every_design(shape: str, name: str) -> None:
     own = load_scenario(name)

@@ -47,7 +47,7 @@ def test_gymnasium_accepts_it(name: str, bundle: Bundle, sensor: VirtualSensor) 
     check_env(made(name, bundle, sensor).unwrapped)
 
 
-@pytest.mark.parametrize("name", ["Egg", "Ball"])
+@pytest.mark.parametrize("name", ["Egg", pytest.param("Ball", marks=pytest.mark.long)])
 def test_the_controller_holds_it(name: str, bundle: Bundle, sensor: VirtualSensor) -> None:
     from phytac_design.environments.grip_controller import GripController
 

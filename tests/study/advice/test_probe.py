@@ -69,7 +69,7 @@ def test_probe_takes_the_judged_bound(probe: LocalModel) -> None:
         ("layout.height_far_mm", 0.2),
         pytest.param("camera.focal_px", 5.0, marks=pytest.mark.long),
         ("receptor.diameter_outer_mm", 0.05),
-        ("layout.row_pitch_exponent", 0.01),
+        pytest.param("layout.row_pitch_exponent", 0.01, marks=pytest.mark.long),
     ],
 )
 def test_slopes_are_those_of_judged_designs(probe: LocalModel, field: str, step: float) -> None:
