@@ -17,6 +17,7 @@ from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_export import read_stl, write_stl
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
+from phytac_design.stages.build import copy_of
 from tests.fabrication.cases import built, design, shipped
 from tests.refusals import refused
 
@@ -206,9 +207,9 @@ def test_shipped_shells_break_no_rule(name: str, tmp_path: Path) -> None:
 
 
 def test_a_fault_on_a_receptor_names_its_marker() -> None:
-    case = built(shipped("cylinder40"))
+    case = built(copy_of(shipped("cylinder40"), layout={"rows": 4}))
     markers = case[2]
-    tip, along = markers.tip_mm[200], markers.direction[200]
+    tip, along = markers.tip_mm[-16], markers.direction[-16]
     side = np.cross(along, [0.0, 0.0, 1.0]) * 0.95
     start = tuple(tip + side - 0.2 * along)
     solid = shell_manifold(Sensor.of(*case), tolerance_mm=0.05)

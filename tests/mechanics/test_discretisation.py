@@ -56,6 +56,7 @@ def test_estimate_is_within_a_factor_of_two_of_a_resolved_mesh(
         assert 0.5 < factor(found, truth) < (2.0 if n > 8 else 6.0)
 
 
+@pytest.mark.long
 def test_two_meshes_that_agree_by_chance_are_no_estimate() -> None:
     """A layer that neither resolves: they differ by 1 %, and are 3 % off."""
     case = next(c for c in error_cases() if c.name.endswith("not halved, t/L 0.001"))

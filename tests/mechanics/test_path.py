@@ -45,6 +45,7 @@ def test_roof_snaps_through_under_displacement_control() -> None:
     assert [s.state.displacement_mm[middle, 2] for s in path] == pytest.approx(stops, abs=1e-9)
 
 
+@pytest.mark.long
 def test_roof_snaps_back_under_arc_length() -> None:
     turns = large_cases.roof_path(16, thickness=6.35).turns
     table = large_cases.ROOF[6.35]
