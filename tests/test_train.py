@@ -20,7 +20,7 @@ from phytac_design.engine.stage import Context
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import assemble_bundle, untrained_model
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
-from phytac_design.training.fem_calibration import fit_mechanics
+from phytac_design.training.fem_calibration import _fit, fit_mechanics
 from phytac_design.training.join_datasets import join_samples, select_samples
 from phytac_design.training.levenberg_marquardt import (
     CascadeDerivatives,
@@ -212,6 +212,9 @@ def test_columns_of_an_uneven_print_are_measured(context: Context) -> None:
     samples.shift_px[::7, 4] = np.nan
     fit = fit_mechanics(model, model.footprint_px, samples, validation)
     assert fit.columns == count
+    # Columns hold what moved key nodes otherwise: their own shifts count for more than before.
+    before_sd_px = _fit(model, model.footprint_px, validation).tip_sd_px
+    assert fit.tip_sd_px == fit.model.tip_sd_px < before_sd_px
     sound = fit.model.response_px - real.compliance_px
     before = fit.model.compliance_px - real.compliance_px
     assert np.linalg.norm(sound) < 0.45 * np.linalg.norm(before)

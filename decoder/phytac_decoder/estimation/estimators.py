@@ -342,8 +342,9 @@ class ForceModel:
         """Return the least-squares solution f >= 0 of d = C(:, KOI)·f over all found markers.
 
         Large displacements are added to C·f. Motion of the cameras is left free, within its prior.
-        Few markers that the forces do not explain are left out.
-        Key nodes' own shifts may have another standard deviation beside the noise.
+        Markers count by their noise and by :data:`MODEL_SHARE` of their motion; key nodes' own
+        shifts may have another standard deviation beside these. Few markers that the forces do not
+        explain are left out.
         """
         return self._once(
             f"inverse {tip_sd_px}", shift_px, koi, lambda: self._solved(shift_px, koi, tip_sd_px)
@@ -404,6 +405,7 @@ class ForceModel:
         return self._least_squares(np.where(misread[:, None], np.nan, shift_px), koi, tip_sd_px)
 
     def _least_squares(self, shift_px: FloatArray, koi: IntArray, tip_sd_px: float) -> FloatArray:
+        """Return forces (m,) that explain all found markers, however far some are off."""
         rows, d = self.patterns[0][koi], shift_px.reshape(-1)
         sd_px = np.full(len(shift_px), max(self.noise_px, NOISE_LEAST_px))
         sd_px[koi] = np.hypot(sd_px[koi], tip_sd_px)
