@@ -196,7 +196,8 @@ class ForceModel:
     def inverse_noise_N_px(self) -> FloatArray:
         """Noise of the compliance inverse per pixel of centroid noise, (n,) N/px: 1 / |C_i|.
 
-        For a force on marker i alone; no estimator without bias does better.
+        For a weak force on marker i alone; no estimator without bias does better. A strong one has
+        more, as markers that move far count less.
         """
         signal = np.linalg.norm(self.response_px, axis=0)
         return np.asarray(1.0 / np.maximum(signal, 1e-300))
