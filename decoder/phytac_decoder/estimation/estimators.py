@@ -28,8 +28,8 @@ NOISE_LEAST_px = 0.01
 """Noise of shifts against which that is weighed, at least."""
 MODEL_SHARE = 0.03
 """Standard deviation of a marker's shift about the model's, as a share of it: markers near strong
-contacts count less. 0.02 to 0.06 read the paper's protocol alike; with 0 errors are an eighth more,
-a third more by design."""
+contacts count less. 0.02 to 0.06 read the paper's protocol alike; with 0 errors are 1.1 times as
+large after training, and 1.4 times by design."""
 MISREAD_NOISES, MISREAD_SHARE = 10.7, 0.2
 """A marker's shift is not explained beyond so many standard deviations of its noise (15 of a
 centroid's), and this share of the predicted shift around it."""
