@@ -23,9 +23,6 @@ PHYTAC = [sys.executable, "-c", "from phytac_design.cli.app import main; main()"
 """A process of its own: starting one takes a second."""
 
 
-SOME = ("build", "studio")
-
-
 def phytac(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """The same in this process."""
     out, errors, code = io.StringIO(), io.StringIO(), 0
@@ -79,17 +76,7 @@ def test_every_command_belongs_to_one_panel() -> None:
     assert places == sorted(places)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "",
-        # One typer for all: two of them are asked by each `make test`.
-        *(
-            pytest.param(str(info.name), marks=[pytest.mark.long] * (info.name not in SOME))
-            for info in app.registered_commands
-        ),
-    ],
-)
+@pytest.mark.parametrize("name", ["", *(str(info.name) for info in app.registered_commands)])
 def test_help_has_a_short_form(name: str) -> None:
     long, short = (phytac(*name.split(), word) for word in ("--help", "-h"))
     assert short.returncode == long.returncode == 0

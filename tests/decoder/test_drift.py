@@ -103,7 +103,7 @@ def error_N(reading: Reading, force_N: float) -> float:
     return abs(contact.raw_N - force_N) / contact.raw_sd_N
 
 
-@pytest.mark.parametrize("estimator", ["auto", pytest.param("koi_inverse", marks=pytest.mark.long)])
+@pytest.mark.parametrize("estimator", ["auto", "koi_inverse"])
 def test_a_camera_that_creeps_is_followed(estimator: str) -> None:
     film = Film()
     assert film.wait(30.0, estimator=estimator).valid

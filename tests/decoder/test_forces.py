@@ -105,7 +105,7 @@ def test_a_force_that_left_may_come_back() -> None:
 def test_exact_data_give_exact_forces(estimator: str) -> None:
     model = force_model()
     force = np.zeros(N)
-    force[[2, 7]] = 0.3, 1.1
+    force[[2, 7]] = 3.0, 11.0
     shift = (model.compliance_px @ force).reshape(N, 2)
     assert np.allclose(model.forces(estimator, shift, np.array([2, 7])), force, atol=1e-9)
 
