@@ -33,6 +33,7 @@ from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_design.study.search.surrogate import strain_of
 from phytac_design.workflows import switch_feasibility
 from phytac_shapes.errors import DesignError
+from tests.long_cases import with_long
 from tests.refusals import refused
 
 SMALL: dict[str, dict[str, float]] = {
@@ -100,13 +101,7 @@ def ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return answered
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        pytest.param(kind, marks=[pytest.mark.long] * (kind in ("cone", "cuboid")))
-        for kind in FAMILIES
-    ],
-)
+@pytest.mark.parametrize("kind", with_long(FAMILIES, ("cone", "cuboid")))
 def test_a_first_design_passes_the_check(kind: str) -> None:
     design = made(kind)
     assert checkup(design)["clear"]

@@ -20,6 +20,7 @@ from phytac_design.report.notebook import (
 )
 from phytac_design.stages.build import BuildResult
 from tests.designs import changed, drawn, small
+from tests.long_cases import TUBES, with_long
 
 ROOT = Path(__file__).parents[1]
 TUTORIAL = ROOT / "docs" / "tutorial.ipynb"
@@ -55,14 +56,7 @@ class Page(HTMLParser):
         return [attrs for name, attrs in self.tags if name == tag]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        # Tubes like cylinder60.
-        pytest.param(name, marks=[pytest.mark.long] * (name in ("cylinder40", "cone", "grip")))
-        for name in shipped_designs()
-    ],
-)
+@pytest.mark.parametrize("name", with_long(shipped_designs(), TUBES))
 def test_designs_show_a_map_of_their_markers(name: str) -> None:
     design = load_design(name)
     markers = make_markers(design, design.surface())

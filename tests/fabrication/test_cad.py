@@ -18,6 +18,7 @@ from phytac_design.solids.wall_mesh import wall_mesh
 from tests.fabrication.cad_files import read_step
 from tests.fabrication.cases import FAMILIES, Barrel, built, design, family_design
 from tests.fabrication.walls import rims_mm3, steiner_mm3
+from tests.long_cases import TUBES, with_long
 from tests.refusals import refused
 
 AGREE = 1e-4
@@ -50,14 +51,7 @@ def test_walls_of_all_families_are_valid_and_exact(name: str, sizes: dict[str, f
     assert facts.volume_mm3 == pytest.approx(closed, rel=EXACT)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        # Their walls are built above.
-        pytest.param(name, marks=[pytest.mark.long] * (name in ("cone", "grip")))
-        for name in sorted(FAMILIES)
-    ],
-)
+@pytest.mark.parametrize("name", with_long(sorted(FAMILIES), TUBES))
 def test_shells_of_all_families_go_through_step(name: str, tmp_path: Path) -> None:
     case = built(family_design(name, rows=2, columns=3))
     solid = shell_cad(Sensor.of(*case))

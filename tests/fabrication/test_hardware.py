@@ -25,16 +25,10 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import to_triangles
 from tests.fabrication.hardware_cases import SHIPPED, case, changed, solids, switches
+from tests.long_cases import TUBES, with_long
 from tests.refusals import refused
 
-every_shape = pytest.mark.parametrize(
-    "name",
-    [
-        # Tubes like cylinder60.
-        pytest.param(name, marks=[pytest.mark.long] * (name in ("cylinder40", "cone", "grip")))
-        for name in SHIPPED
-    ],
-)
+every_shape = pytest.mark.parametrize("name", with_long(SHIPPED, TUBES))
 
 
 def judged(name: str, bodies: dict[str, Any]) -> Any:
@@ -205,8 +199,7 @@ def test_the_lens_stands_where_the_camera_does(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["cylinder60", pytest.param("cone", marks=pytest.mark.long), "cuboid", "hemisphere", "patch"],
+    "name", with_long(("cylinder60", "cone", "cuboid", "hemisphere", "patch"), TUBES)
 )
 def test_the_camera_sees_the_whole_edge(name: str) -> None:
     design, surface, _, kit = case(name)

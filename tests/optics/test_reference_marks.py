@@ -16,6 +16,7 @@ from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.simulation.imaging.nominal_view import look
 from tests.designs import changed, small
+from tests.long_cases import TUBES, with_long
 from tests.refusals import refused
 
 TWELVE = {"count": 12}
@@ -89,11 +90,7 @@ def test_every_mark_is_seen_apart_from_the_markers() -> None:
 
 
 @pytest.mark.parametrize(
-    "shape",
-    [
-        *(pytest.param(shape, marks=pytest.mark.long) for shape in ("cone", "grip")),
-        *("cuboid", "hemisphere", "plane"),
-    ],
+    "shape", with_long(("cone", "cuboid", "hemisphere", "plane", "grip"), TUBES)
 )
 def test_the_camera_of_every_shape_sees_all_marks(shape: str) -> None:
     # Beside a flat wall the nearer row would be hidden by the receptors along the edge.

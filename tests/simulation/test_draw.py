@@ -35,6 +35,7 @@ from phytac_design.simulation.scenario.viscoelasticity import (
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
+from tests.long_cases import TUBES, with_long
 from tests.refusals import refused
 
 JITTER_MM = 1.0
@@ -69,14 +70,7 @@ def columns(touches: Contacts) -> dict[str, Any]:
     return {name: array for name, array in vars(touches).items() if name != "samples"}
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        # Tubes like cylinder60.
-        pytest.param(shape, marks=[pytest.mark.long] * (shape in ("cylinder40", "cone", "grip")))
-        for shape in shipped_designs()
-    ],
-)
+@pytest.mark.parametrize("shape", with_long(shipped_designs(), TUBES))
 @pytest.mark.parametrize("name", shipped_scenarios())
 def test_every_scenario_runs_on_every_design(shape: str, name: str) -> None:
     own = load_scenario(name)
