@@ -10,6 +10,8 @@ STAMP := $(VENV)/.installed
 # complete, and pip mostly unpacks: two processes install half of it each. It is halved by the
 # alphabet, since packages that share a folder (trame-…, mujoco-…) begin alike. A new pip takes less
 # processor time than Debian's: it finds packages faster.
+# PyTorch's build for GPUs needs libraries that its build for CPUs, with which the file was locked,
+# does not: where an index gives the former, they are added at the end.
 PARTS := $(addprefix $(VENV)/.installed-,$(shell $(PYTHON) -c 'import sys; print("a-p q-z" if sys.version_info[:2] == (3, 11) else "ranges")' 2>/dev/null))
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 # pip compiles nothing (below), so Python must keep what it compiles at the first import: otherwise
@@ -74,6 +76,7 @@ $(BIN)/python:
 
 $(STAMP): pyproject.toml $(PARTS) | $(BIN)/python
 	PYTHONWARNINGS=ignore $(PIP) --no-deps --no-build-isolation -e .
+	$(PIP) $$(grep '^torch==' requirements.lock)
 	touch $@
 
 # Before it is used twice at once.
