@@ -247,7 +247,7 @@ def add_row(
     table: Table, design: str, condition: str, modes: dict[str, Outcome], *, target: bool
 ) -> tuple[int, float]:
     """Row of one condition in one or more modes; return the silently wrong ones, and by chance."""
-    silent = sum(out.silent for out in modes.values())
+    silent = int(sum(out.silent for out in modes.values()))
     notes = "; ".join(f"{mode}: {out}" for mode, out in modes.items())
     case = f"{design}, {condition}: silently wrong contacts"
     table.add(case, silent, "", 0, "project target", "== 0" if target else None, notes)
