@@ -5,6 +5,7 @@ import shutil
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from phytac_design.engine import cache
 from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
 from phytac_design.stages import STAGES
-from phytac_design.stages.build import BuildResult, build
+from phytac_design.stages.build import BuildResult, build, run_stages
 from phytac_design.stages.shell_stage import run_shell
 from phytac_shapes.errors import (
     CadKernelError,
@@ -236,6 +237,25 @@ def test_another_designs_folder_is_safe(tmp_path: Path, built: BuildResult) -> N
         small(name="other"), out, accuracy="draft", only=["mesh"], force=True, progress=quiet
     )
     assert manifest_of(forced.out)["design"]["name"] == "other"
+
+
+def test_another_designs_build_that_ends_first_is_safe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both find the folder empty when they begin."""
+    out, other, run = tmp_path / "x", small(name="other"), run_stages
+
+    def run_after_another(*words: Any, **options: Any) -> Any:
+        done = run(*words, **options)
+        monkeypatch.undo()
+        build(other, out, accuracy="draft", only=["mesh"], progress=quiet)
+        return done
+
+    monkeypatch.setattr("phytac_design.stages.build.run_stages", run_after_another)
+    with refused("output-foreign") as caught:
+        build(small(), out, accuracy="draft", only=["mesh"], progress=quiet)
+    caught.match("'other', not 'small'")
+    assert manifest_of(out)["design"]["name"] == "other"
 
 
 def test_interrupted_build_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -89,6 +89,20 @@ def test_fitted_values_and_the_design_file(rig: Path) -> None:
     ]
 
 
+def test_forces_in_another_unit_are_warned_of(rig: Path) -> None:
+    """Kilograms of force are within what a search may find."""
+    head, *rows = (rig / "all.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    kgf = [",".join([*c[:2], f"{float(c[2]) / 9.81:.9g}", *c[3:]]) for c in cells]
+    (rig / "kgf.csv").write_text("\n".join([head, *kgf]))  # its last line has no end
+    words = ("calibrate", "small.toml", "kgf.csv", "--accuracy", "draft", "--fix", "poisson")
+    out = phytac(*words, cwd=rig)
+    assert out.returncode == 0, out.stderr
+    assert "warning: the fitted modulus is 0.0" in out.stderr
+    assert "are forces in N" in out.stderr
+    assert "may have been cut off" in out.stderr
+
+
 def test_data_that_do_not_determine_are_refused_and_a_known_wall_helps(rig: Path) -> None:
     words = ("calibrate", "small.toml", "own.csv", "--accuracy", "draft")
     out = phytac(*words, cwd=rig)

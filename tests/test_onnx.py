@@ -158,6 +158,12 @@ def test_the_command(bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert facts["out"] == str(out)
     assert facts["difference"] <= 1e-12
     assert "network of fem_nn_identity" in CliRunner().invoke(app, words).stdout
+    mine = tmp_path / "mine.txt"
+    mine.write_text("precious")
+    wrong = CliRunner().invoke(app, ["export-onnx", str(bundle), str(mine)])
+    assert isinstance(wrong.exception, InputError)
+    assert "end its name in .onnx" in str(wrong.exception)
+    assert mine.read_text() == "precious"
     monkeypatch.delitem(sys.modules, "phytac_design.training.onnx_export")
     monkeypatch.setitem(sys.modules, "onnx", None)
     lacking = CliRunner().invoke(app, words)

@@ -18,8 +18,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from phytac_decoder.io.bundle import save_bundle
 from phytac_decoder.io.recorded_frames import read_image
 from phytac_design.cli.app import app
+from phytac_design.cli.simulate_commands import _say_frames
 from phytac_design.core.journal import Journal
 from phytac_design.datasets.samples import STATUSES, Samples
 from phytac_design.datasets.samples_file import FILE, TABLE, read_samples
@@ -37,6 +39,7 @@ from phytac_design.workflows.simulate import (
     write_rest,
 )
 from phytac_shapes.errors import DesignError
+from tests.decoder.toy_sensor import toy_bundle
 from tests.designs import CAMERA, small
 from tests.refusals import refused
 
@@ -228,14 +231,16 @@ def test_force_replaces_a_data_set(whole: Path, tmp_path: Path) -> None:
     assert read(tmp_path / "data").count == 1
 
 
-@pytest.mark.parametrize("name", [FILE, "frames/000000.png"])
+@pytest.mark.parametrize(
+    "name", [FILE, "frames/000000.png", "rest.png", "truth.csv", "design.toml"]
+)
 def test_files_of_somebody_else_are_kept(tmp_path: Path, name: str) -> None:
     path = tmp_path / "own" / name
     path.parent.mkdir(parents=True)
     path.write_bytes(b"mine")
     with refused("output-foreign") as caught:
         run(job_of(), tmp_path / "own")
-    caught.match(f"own holds {name.split('/', maxsplit=1)[0]} of something else")
+    caught.match("own is not empty and holds no data set")
     assert path.read_bytes() == b"mine"
 
 
@@ -365,3 +370,20 @@ def test_invalid_jobs_are_rejected_at_once(change: dict[str, Any], code: str) ->
 
 def test_the_journal_is_gone_at_the_end(whole: Path) -> None:
     assert not (whole / JOURNAL_FOLDER).exists()
+
+
+def test_frames_are_decoded_by_the_decoder_of_their_design(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One of an older state of the design would read them wrongly."""
+    monkeypatch.chdir(tmp_path)
+    _say_frames(SMALL, Path("data"))
+    (*_, without) = capsys.readouterr().out.splitlines()
+    assert without.startswith("next: phytac decode DECODER data/frames --rest data/rest.png")
+    decoder = tmp_path / "exports" / SMALL.name / "decoder"
+    for state, named in (("0" * 64, "DECODER"), (design_hash(SMALL), f"exports/{SMALL.name}")):
+        shutil.rmtree(decoder, ignore_errors=True)
+        save_bundle(replace(toy_bundle(), design_hash=state), decoder)
+        _say_frames(SMALL, Path("data"))
+        (*_, line) = capsys.readouterr().out.splitlines()
+        assert line.startswith(f"next: phytac decode {named}")

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import shlex
 from typing import Annotated, Any
 
 import typer
@@ -49,6 +50,11 @@ def camera(
                 if frame.timestamp_s > seconds:
                     break
     problems = check.problems()
+    if fps and frames.missed and not isinstance(frames, CameraSource):
+        problems.append(
+            f"{frames.missed} pictures came too late: they cannot be read at {fps:g} a second; "
+            "leave out --fps for a recording"
+        )
     locked: dict[str, float] = {}
     if isinstance(frames, CameraSource):
         problems += [f"refused by camera {text}; set it with v4l2-ctl" for text in frames.refused]
@@ -59,9 +65,9 @@ def camera(
     else:
         for problem in problems:
             typer.echo(f"to change: {problem}")
-        words = [str(bundle), *sources, "--rest-first 30"]
-        words += [f"--control {name}={value:g}" for name, value in locked.items()]
-        typer.echo("not ready" if problems else f"ready; next: phytac live {' '.join(words)}")
+        words = [str(bundle), *sources, "--rest-first", "30"]
+        words += [word for name in locked for word in ("--control", f"{name}={locked[name]:g}")]
+        typer.echo("not ready" if problems else f"ready; next: phytac live {shlex.join(words)}")
     if problems:
         raise typer.Exit(InputError.exit_code)
 

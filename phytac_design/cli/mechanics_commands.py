@@ -8,6 +8,7 @@ import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, check_out, say
 from phytac_design.cli.output import names_of, next_step, print_json
+from phytac_shapes.errors import InputError
 
 Theory = Literal["auto", "linear", "large"]
 Parameter = StrEnum("Parameter", ["modulus", "thickness", "poisson"])
@@ -57,6 +58,10 @@ def press(
     loaded = load_design(design)
     sensor = Sensor(loaded)
     place = parse_contact_patch(sensor, force_N=force, at=at, radius_mm=radius)
+    if vtu and vtu.suffix.lower() != ".vtu":
+        raise InputError(
+            "file-ending", f"--vtu writes a VTK file (got {vtu.name}); end its name in .vtu"
+        )
     accepted = tolerance / 100.0
     result = mechanics.press(
         sensor,

@@ -135,11 +135,23 @@ def scenarios(as_json: JsonOption = False) -> None:
 
 def _say_frames(design: "Design", out: Path) -> None:
     """Where the true forces of kept frames are, and how to decode the frames."""
+    import shlex
+
+    from phytac_decoder.io.bundle import load_bundle
+    from phytac_design.design.design_file import design_hash
     from phytac_design.workflows.simulate import TRUTH
+    from phytac_shapes.errors import InputError
 
     typer.echo(f"true forces of the frames are in {out / TRUTH}")
     if design.camera.ends == "both":
         return
-    next_step(
-        f"phytac decode exports/{design.name}/decoder {out / 'frames'} --rest {out / 'rest.png'}"
-    )
+    decoder = f"exports/{design.name}/decoder"
+    try:
+        mine = load_bundle(Path(decoder)).design_hash == design_hash(design)
+    except InputError:
+        mine = False
+    rest = shlex.join([str(out / "frames"), "--rest", str(out / "rest.png")])
+    if mine:
+        next_step(f"phytac decode {shlex.quote(decoder)} {rest}")
+    else:
+        next_step(f"phytac decode DECODER {rest}, with the decoder of a build of this design")

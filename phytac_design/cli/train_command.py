@@ -1,5 +1,6 @@
 """The commands that train, evaluate and export decoders."""
 
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -142,9 +143,11 @@ def evaluate(
 def _verdict(relative: dict[str, float | None], contacts: int) -> str:
     """The best estimator, against the published sensor, and whether its contacts are enough."""
     contacts_min = 100  # a mean of 100 errors is known to a tenth of their standard deviation
-    known = {name: value for name, value in relative.items() if value is not None}
+    known = {
+        name: value for name, value in relative.items() if value is not None and isfinite(value)
+    }
     if not known:
-        return "no estimator has an error: no contact was decoded"
+        return "no estimator has an error: no held-out contact turned a switch on"
     best = min(known, key=known.__getitem__)
     few = ""
     if contacts < contacts_min:
@@ -174,7 +177,12 @@ def export_onnx(
     """Write a decoder's network as ONNX, and check that it equals the decoder's own."""
     from phytac_design.training.onnx_export import INPUT, OPSET, OUTPUT
     from phytac_design.training.onnx_export import export_onnx as run
+    from phytac_shapes.errors import InputError
 
+    if out.suffix.lower() != ".onnx":
+        raise InputError(
+            "file-ending", f"a network is written as ONNX (got {out.name}); end its name in .onnx"
+        )
     difference = run(bundle, out, estimator=estimator)
     if as_json:
         facts = {

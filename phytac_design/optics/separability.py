@@ -13,6 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
+from phytac_decoder.pipeline.colour_calibration import SETTINGS
 from phytac_decoder.vision.brightness import DOTS
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel
 from phytac_design.design.paints_table import NOMINAL_PAINTS, PaintsSection, Rgb
@@ -163,7 +164,8 @@ def check_paints(design: Design) -> Separability:
     Raises
     ------
     DesignError
-        If two paints, or a paint and the bare resin, are too close for the camera's noise.
+        If two paints, or a paint and the bare resin, are too close for the camera's noise, or two
+        hues for the decoder.
     """
     sigmas_min = 5.0  # least margin in standard deviations of the noise of one pixel (chosen here)
     # Least distance in u'v' (chosen here): about ten times the just noticeable difference.
@@ -181,6 +183,7 @@ def check_paints(design: Design) -> Separability:
             f"in the shade (at least {sigmas_min:g}); choose other layout.colours or lower "
             "camera.noise_pixel",
         )
+    _check_hues(design, found)
     faint = int(np.argmin(found.floor_sigmas))
     if found.floor_sigmas[faint] < sigmas_min:
         raise DesignError(
@@ -190,6 +193,21 @@ def check_paints(design: Design) -> Separability:
             f"{sigmas_min:g}); choose other layout.colours or lower camera.noise_pixel",
         )
     return found
+
+
+def _check_hues(design: Design, found: Separability) -> None:
+    """Reject hues that the calibration of the colours with a rest frame would reject."""
+    least = SETTINGS.separation_min_deg
+    worst = int(np.argmin(found.hue_deg))
+    if found.hue_deg[worst] >= least or design.dots:
+        return
+    first, second = (found.names[i] for i in found.pairs[worst])
+    raise DesignError(
+        "paints-not-separable",
+        f"the hues of {first} and {second} are {found.hue_deg[worst]:.1f} degrees apart (the "
+        f"decoder needs {least:g}); choose other layout.colours, or give the paints' own RGB in "
+        f"[paints] (red is that of the switches' tips)",
+    )
 
 
 def separability_svg(found: Separability) -> str:

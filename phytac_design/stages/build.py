@@ -143,6 +143,8 @@ def build(
             raise
         try:
             with _alone_in(out):
+                # Another design's build may have ended there in the meantime.
+                _claim(out, design, force=force)
                 _export(out, design, stages, context)
         except OSError as error:
             raise OutputError(

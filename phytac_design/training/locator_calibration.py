@@ -327,7 +327,7 @@ def weighted_median(values: FloatArray, weights: FloatArray) -> float:
 def _fit_prior(locator: ContactLocator, samples: Samples, chosen: IntArray) -> ContactPrior:
     """Return the prior of places about the switches, and of second moments."""
     touches, truth = samples.touches, samples.truth
-    if touches is None or truth is None:
+    if touches is None or truth is None or not len(touches.force_N):
         return locator.prior
     mine = np.isin(truth.sample, chosen) & (truth.touch >= 0)
     number = np.bincount(truth.touch[mine], minlength=len(touches.force_N))

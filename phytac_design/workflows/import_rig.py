@@ -41,6 +41,7 @@ from phytac_design.simulation.rig_import.rig_samples import (
     samples_of,
 )
 from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.bounded_reader import doubt_about_end
 from phytac_shapes.errors import InputError, OutputError
 
 
@@ -163,6 +164,9 @@ def import_rig(
     notes["lenses"] = _check_lenses(rig.bundle, cameras, progress)
     problems = RowProblems(where=str(log_path))
     log = read_rig_log(log_path, problems)
+    doubt = doubt_about_end(log_path)
+    if doubt:
+        progress(f"warning: {doubt}")
     training = design.training
     radius_mm = chosen.radius_mm
     if radius_mm is None:

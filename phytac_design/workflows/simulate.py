@@ -32,7 +32,6 @@ from phytac_design.datasets.samples import (
     rest_note,
 )
 from phytac_design.datasets.samples_file import (
-    FILE,
     FRAMES,
     TABLE,
     file_hash,
@@ -384,12 +383,12 @@ def finished_data_set(out: Path, job: Job, *, force: bool) -> Samples | None:
         If another data set is there and ``force`` is not set.
     """
     if not (out / TABLE).exists():
-        foreign = [name for name in (FILE, FRAMES) if (out / name).exists()]
-        if foreign and not force and not (out / JOURNAL_FOLDER).exists():
+        other = out.is_dir() and any(out.iterdir()) and not (out / JOURNAL_FOLDER).exists()
+        if other and not force:
             raise OutputError(
                 "output-foreign",
-                f"{out} holds {' and '.join(foreign)} of something else; choose another --out, or "
-                "add --force to replace them",
+                f"{out} is not empty and holds no data set; choose another --out, or add --force "
+                "to replace files of the same names",
             )
         return None
     try:

@@ -21,6 +21,7 @@ from phytac_design.simulation.switch_law import switch_law
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import DECODER, assemble_bundle, untrained_model
 from phytac_design.stages.places_stage import receptor_table_of
+from phytac_design.training.data_agreement import check_agreement
 from phytac_design.training.evaluation.contact_scores import error_summary
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
 from phytac_design.training.fem_calibration import ReceptorSolver
@@ -117,6 +118,9 @@ def train(
             check_inputs(item, plain.model, accuracy)
         noise_px = design.camera.noise_centroid_px
         parts = split_data_sets(sets, plain.model, noise_px=noise_px, seed=seed, limit=samples)
+        doubt = _doubt(plain, parts[0])
+        if doubt:
+            progress(f"warning: {doubt}")
         plain, learnt = _with_thresholds(plain, context.sensor, parts[0])
         bundle, trained = run_trainers(
             plain, parts, seed, first, progress, partial(receptor_table_of, context)
@@ -144,11 +148,21 @@ def train(
             "trainers": trained,
             "test": held_out,
         }
+        if doubt:
+            facts["doubt"] = doubt
         with write_folder(out, TABLE) as folder:
             save_bundle(bundle, folder)
             text = json.dumps(finite(facts), indent=1, sort_keys=True, ensure_ascii=False)
             (folder / TABLE).write_text(text + "\n", encoding="utf-8")
     return facts
+
+
+def _doubt(bundle: Bundle, part: SplitPart) -> str:
+    """Return a warning if forces and pictures of the data may not belong together, or ""."""
+    locator = bundle.model.locator
+    if locator is None or part.samples is None or not part.has_points:
+        return ""
+    return check_agreement(locator, part.samples)
 
 
 def _with_thresholds(

@@ -82,6 +82,20 @@ def read_text(path: Path, *, encoding: str = "utf-8", bytes_max: int = 1 << 24) 
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
+def doubt_about_end(path: Path) -> str:
+    """Return why the last row of a table that can be read may not be whole, or ""."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - 1, 0))
+        end = file.read(1)
+    if end in {b"\n", b"\r", b""}:
+        return ""
+    return (
+        f"{path} does not end with a line break: its last number may have been cut off; check the "
+        "last row, and end it with a line break"
+    )
+
+
 def toml_table(text: str) -> dict[str, Any]:
     """Table of a TOML text.
 

@@ -9,8 +9,10 @@ import pytest
 
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
-from phytac_design.datasets.samples import Samples
+from phytac_design.datasets.samples import Samples, TouchRows
+from phytac_design.training.data_agreement import check_agreement
 from phytac_design.training.force_correction_fit import fit_correction, fit_spread
+from phytac_design.training.join_datasets import select_samples
 from phytac_design.training.locator_calibration import (
     calibrate_locator,
     error_of_first_order,
@@ -176,6 +178,61 @@ def test_samples_without_contacts_or_switches_are_rejected() -> None:
     dark = replace(training(), bits_read=np.zeros_like(training().bits))
     with refused("no-switch-tripped"):
         calibrate_locator(LOCATOR, dark, np.arange(120), force_max_N=25.0)
+
+
+def test_forces_and_places_that_belong_to_the_pictures_are_accepted() -> None:
+    assert not check_agreement(LOCATOR, training())
+    assert not check_agreement(LOCATOR, select_samples(training(), np.arange(5)))
+
+
+def test_samples_without_contacts_are_rejected() -> None:
+    """As of a load cell that is not plugged in."""
+    samples = training()
+    assert samples.touches is not None
+    assert samples.truth is not None
+    none = replace(
+        samples,
+        touches=TouchRows(**{name: rows[:0] for name, rows in vars(samples.touches).items()}),
+        truth=replace(samples.truth, touch=np.full(len(samples.truth.touch), -1)),
+    )
+    with refused("no-switch-tripped"):
+        calibrate_locator(LOCATOR, none, np.arange(120), force_max_N=25.0)
+
+
+def _with_forces(force_N: FloatArray) -> Samples:
+    touches = training().touches
+    assert touches is not None
+    return replace(training(), touches=replace(touches, force_N=force_N))
+
+
+def test_a_force_gauge_that_is_stuck_is_noticed() -> None:
+    touches = training().touches
+    assert touches is not None
+    with refused("forces-all-equal") as caught:
+        check_agreement(LOCATOR, _with_forces(np.full(len(touches.force_N), 5.0)))
+    caught.match("the recorded force is 5 N in all contacts")
+
+
+def test_forces_of_other_presses_are_noticed() -> None:
+    touches = training().touches
+    assert touches is not None
+    other = np.random.default_rng(0).permutation(touches.force_N)
+    assert "do not follow the motion" in check_agreement(LOCATOR, _with_forces(other))
+
+
+def test_pictures_of_other_presses_are_refused() -> None:
+    samples = training()
+    assert samples.shift_px is not None
+    assert samples.bits_read is not None
+    late = replace(
+        samples,
+        shift_px=np.roll(samples.shift_px, 1, axis=0),
+        bits_read=np.roll(samples.bits_read, 1, axis=0),
+        bits=np.roll(samples.bits_read, 1, axis=0),
+    )
+    with refused("contacts-elsewhere") as caught:
+        check_agreement(LOCATOR, late)
+    caught.match("numbers of the frames")
 
 
 def test_a_correction_fades_away_from_its_data() -> None:

@@ -178,19 +178,20 @@ def test_the_camera_of_two_is_named() -> None:
 def test_the_command_reports_and_gives_a_verdict(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, good: bool
 ) -> None:
-    save_bundle(toy_bundle(), tmp_path)
+    decoder = tmp_path / "my decoder"
+    save_bundle(toy_bundle(), decoder)
     world = VirtualWorld(picture=lambda _: IDLE if good else scaled(0.25), period_s=0.01)
     if not good:
         world.refuse = {cv2.CAP_PROP_AUTOFOCUS}
     install(monkeypatch, world)
-    words = ["camera", str(tmp_path), "--device", "0", "--seconds", "1.2"]
+    words = ["camera", str(decoder), "--device", "0", "--seconds", "1.2"]
     done = CliRunner().invoke(app, words)
     *lines, verdict = done.stdout.splitlines()
     assert done.exit_code == (0 if good else 4), done.output
     assert sum("markers" in line and "fps" in line for line in lines) == 1
     if good:
         assert lines[-1].endswith("good")
-        assert verdict.startswith("ready; next: phytac live")
+        assert verdict.startswith(f"ready; next: phytac live '{decoder}' 0")
         assert "--control exposure=156" in verdict
     else:
         assert verdict == "not ready"
@@ -226,3 +227,16 @@ def test_dots_of_one_colour_are_checked_too(paint: str, dot: int, wall: int) -> 
 
     assert checked_at(1.0) == []
     assert any("dark" in text for text in checked_at(0.3))
+
+
+def test_a_recording_that_cannot_be_read_as_fast_says_so(tmp_path: Path) -> None:
+    save_bundle(toy_bundle(), tmp_path / "decoder")
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for number in range(20):
+        cv2.imwrite(str(pictures / f"{number:03d}.png"), IDLE)
+    words = ["camera", str(tmp_path / "decoder"), "--device", str(pictures)]
+    done = CliRunner().invoke(app, [*words, "--fps", "100000"])
+    assert done.exit_code == 4, done.output
+    assert "pictures came too late: they cannot be read at 100000 a second" in done.stdout
+    assert "leave out --fps" in done.stdout

@@ -368,6 +368,7 @@ def test_positions_are_given_in_three_ways(tmp_path: Path) -> None:
         (GOOD.replace("displacement_mm", "force_N"), "csv-column-duplicate"),
         (GOOD.replace("1.5", "-1.5"), "csv-value-range"),
         (GOOD.replace("4,4,", "4,-4,"), "csv-value-range"),
+        (GOOD.replace("4,4,", "4,0.004,"), "csv-value-range"),
         (GOOD.replace("\n4,", "\n112,"), "csv-value-range"),
         (GOOD.replace("\n4,", "\n4.5,"), "csv-value-range"),
         (

@@ -63,14 +63,36 @@ def _erf(x: float) -> float:
     return float(2.0 / np.sqrt(np.pi) * np.trapezoid(np.exp(-(t**2)), t))
 
 
-def test_the_paints_in_the_table_go_together() -> None:
+def test_the_paints_in_the_table_are_far_apart() -> None:
     every = tuple(name for name in PAINTS if name not in {"red", *DOTS})
     found = separability(every, noise_pixel=2.0)
     assert found.names == (*every, "red")
     assert found.hue_sigmas.min() > 10.0
     assert found.uv_distance.min() > 0.09
     assert found.summary()["nearest_paints"] == "green and cyan"
-    check_paints(changed(layout={"colours": list(every)}))
+
+
+@pytest.mark.parametrize("colours", [("blue", "green", "yellow"), ("yellow", "cyan")])
+def test_paints_that_the_decoder_distinguishes_are_accepted(colours: tuple[str, ...]) -> None:
+    check_paints(changed(layout={"colours": list(colours)}))
+
+
+@pytest.mark.parametrize(
+    ("colours", "pair"),
+    [
+        (("green", "cyan"), "green and cyan are 49.3 degrees"),
+        (("blue", "cyan"), "blue and cyan are 42.0 degrees"),
+        (("green", "magenta"), "magenta and red are 44.3 degrees"),
+    ],
+)
+def test_hues_that_the_decoder_refuses_are_refused_by_the_design(
+    colours: tuple[str, ...], pair: str
+) -> None:
+    """Or a printed sensor would fail at its first rest frame."""
+    design = changed(layout={"colours": list(colours)})
+    with refused("paints-not-separable") as caught:
+        check_paints(design)
+    caught.match(pair)
 
 
 def test_noise_that_drowns_a_paint_is_refused() -> None:

@@ -290,6 +290,22 @@ def test_forces_far_too_small_are_noted(bring: Import) -> None:
     assert len(done.meta.notes["doubts"]) == 1
 
 
+def test_rows_of_other_pictures_are_noted(bring: Import) -> None:
+    """As where the numbers of the frames are one off."""
+    said: list[str] = []
+    cells = [row.split(",") for row in ROWS]
+    later = [",".join([row[0], str(int(row[1]) % 5 + 1), *row[2:]]) for row in cells]
+    done = bring(log_of(later), said=said)
+    assert any("do its rows belong to these pictures" in text for text in said)
+    assert len(done.meta.notes["doubts"]) == 1
+
+
+def test_a_log_that_was_cut_off_in_a_number_is_noted(bring: Import) -> None:
+    said: list[str] = []
+    bring(log_of(ROWS).rstrip("\n"), said=said)
+    assert sum("may have been cut off" in text for text in said) == 1
+
+
 def test_a_camera_that_moved_is_flagged(bring: Import, tmp_path: Path) -> None:
     frames = tmp_path / "frames"
     shutil.copytree(EXAMPLE / "frames", frames)

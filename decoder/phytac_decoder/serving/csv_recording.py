@@ -35,8 +35,6 @@ class _CsvWriter:
         File to make.
     columns : sequence of str
         Its first line.
-    option : str
-        Option of the command that names the file.
 
     Raises
     ------
@@ -44,7 +42,7 @@ class _CsvWriter:
         If it exists, or cannot be written.
     """
 
-    def __init__(self, path: Path, columns: Sequence[str], option: str) -> None:
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
         self._path = path
         self.rows, self._whole_bytes = 0, 0
         try:
@@ -52,11 +50,13 @@ class _CsvWriter:
         except FileExistsError:
             raise OutputError(
                 "output-exists",
-                f"{path} is there already; give {option} another name, or remove it",
+                f"{path} is there already; choose another name, or remove it",
             ) from None
         except OSError as error:
             raise OutputError(
-                "output-not-writable", f"{path} cannot be written ({error.strerror})"
+                "output-not-writable",
+                f"{path} cannot be written ({error.strerror}); choose a file in a folder that is "
+                "there and may be written to",
             ) from None
         try:
             self._put([columns])
@@ -98,7 +98,7 @@ class Recorder(_CsvWriter):
     """One row for each contact of each frame; a frame without any has one, with ``contacts`` 0."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path, COLUMNS, "--record")
+        super().__init__(path, COLUMNS)
 
     def add(self, message: Message) -> None:
         """Write a frame's rows; raises OutputError if the disk is full."""
@@ -134,7 +134,7 @@ class RegionRecorder(_CsvWriter):
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         columns = [*COLUMNS[:3], "total_N", *(f"region_{name}_N" for name in names), "warnings"]
-        super().__init__(path, columns, "--record-regions")
+        super().__init__(path, columns)
 
     def add(self, message: Message) -> None:
         """Write a frame's row; raises OutputError if the disk is full."""

@@ -18,7 +18,11 @@ from phytac_design.mechanics.calibration.calibration_result import (
 from phytac_design.mechanics.calibration.measurements import read_measurements
 from phytac_design.mechanics.calibration.probe_response import ProbeResponse
 from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness, unknown_receptors
+from phytac_shapes.bounded_reader import doubt_about_end
 from phytac_shapes.errors import OutputError
+
+MODULI = (0.5, 2.0)
+"""Moduli over the design's; beyond these the data are probably in other units."""
 
 
 def calibrate_design(
@@ -57,12 +61,15 @@ def calibrate_design(
     surface = design.surface()
     markers = make_markers(design, surface)
     rows = read_measurements(path, surface, markers, wall_mm=design.wall.thickness_mm)
+    doubt = doubt_about_end(path)
+    if doubt:
+        progress(f"warning: {doubt}")
     unknown = unknown_receptors(design)
     if unknown:
         progress(f"calibrate: the wall is taken as plain: {unknown}")
     factors = None if unknown else partial(receptor_stiffness, design, markers)
     around = PRESETS[accuracy].refine * design.layout.columns
-    return calibrate(
+    fit = calibrate(
         ProbeResponse(surface=surface, rows=rows, around=around, factors=factors),
         force_N=rows.force_N,
         displacement_mm=rows.displacement_mm,
@@ -76,6 +83,14 @@ def calibrate_design(
         limit=limit,
         progress=progress,
     )
+    change = fit.value.modulus / design.material.modulus_MPa
+    if not MODULI[0] < change < MODULI[1]:
+        progress(
+            f"warning: the fitted modulus is {change:.3g} times the design's "
+            f"{design.material.modulus_MPa:g} MPa: are forces in N and displacements in mm, and is "
+            "the material the design's?"
+        )
+    return fit
 
 
 def write_calibrated(design: Design, fit: Calibration, path: Path) -> Path:

@@ -16,6 +16,8 @@ from phytac_shapes.errors import InputError
 PLACES = {"marker": ("marker",), "chart": ("u", "v"), "point": ("x_mm", "y_mm", "z_mm")}
 """The three ways to state a position, each a set of columns behind ``contact_`` or ``probe_``."""
 VALUES = ("patch_radius_mm", "force_N", "displacement_mm")
+RADIUS_MIN_mm = 0.05
+"""Patches of a smaller radius, but for points, are taken for a wrong unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +71,10 @@ def read_measurements(
     table = _columns(path)
     for name, low in (("patch_radius_mm", 0.0), ("force_N", np.nextafter(0.0, 1.0))):
         _refuse(path, table[name] < low, name, f"must be {'>= 0' if low == 0 else '> 0'}", table)
+    radius = table["patch_radius_mm"]
+    tiny = (radius > 0.0) & (radius < RADIUS_MIN_mm)
+    what = f"must be 0 (a point) or at least {RADIUS_MIN_mm:g}; is it in mm?"
+    _refuse(path, tiny, "patch_radius_mm", what, table)
     contact = _place(path, "contact", table, surface, markers, wall_mm)
     elsewhere = any(name.startswith("probe_") for name in table)
     probe = _place(path, "probe", table, surface, markers, wall_mm) if elsewhere else contact

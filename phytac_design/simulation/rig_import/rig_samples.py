@@ -180,7 +180,7 @@ def samples_of(
         shift_px=np.stack([measured.shift_px for measured in seen]),
         touches=touches.table(rig.surface),
         truth=truth_rows(bits, switching.owner, switching.receptor_force_N),
-    ), _doubt(rig, touches, share, switching)
+    ), _doubt(rig, touches, share, switching) or _elsewhere(remarks)
 
 
 def _remarks(
@@ -202,6 +202,19 @@ def _remarks(
     np.logical_or.at(out[:, 2], touches.sample, (must & ~bits[touches.sample]).any(axis=1))
     out[:, 3] = (bits & (switching.owner < 0)).any(axis=1)
     return out
+
+
+def _elsewhere(remarks: BoolArray) -> str:
+    """Doubt about the places of contacts, from ``REASONS`` (s, 4) of samples; empty for none."""
+    most = 0.25  # largest share of samples whose switches are on elsewhere; 0 in simulated logs
+    count = int(remarks[:, 2:].any(axis=1).sum())
+    if count <= most * len(remarks):
+        return ""
+    return (
+        f"in {count} of {len(remarks)} samples the switches that are on are not those that the log "
+        "presses: do its rows belong to these pictures (numbers of frames one off? --offset?), and "
+        "are positions and radii right?"
+    )
 
 
 def _doubt(rig: RigSetup, touches: Contacts, share: FloatArray, switching: Switching) -> str:
