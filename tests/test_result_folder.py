@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.training.result_folder import write_folder
+from phytac_design.training.result_folder import reserve_folder, write_folder
 from tests.refusals import refused
 
 
@@ -37,3 +37,19 @@ def test_a_full_disk_leaves_the_old_result(
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
         names, "old"
     )
+
+
+def test_two_runs_into_one_folder_are_refused(tmp_path: Path) -> None:
+    """Or both would report success, and one result would be lost."""
+    out = tmp_path / "result"
+    with reserve_folder(out, "training.json", "mine", force=False):
+        with (
+            refused("output-locked") as caught,
+            reserve_folder(out, "training.json", "mine", force=True),
+        ):
+            pass
+        caught.match("another run is writing to")
+        (out / "training.json").write_text('{"design": "mine"}')
+    with reserve_folder(out, "training.json", "mine", force=False):
+        pass
+    assert [path.name for path in out.iterdir()] == ["training.json"]

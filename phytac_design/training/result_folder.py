@@ -1,6 +1,9 @@
 """A result's own folder: reserved before long work, written completely or not at all."""
 
+import errno
+import fcntl
 import json
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -30,7 +33,7 @@ def reserve_folder(out: Path, table: str, design: str, *, force: bool) -> Iterat
     Raises
     ------
     OutputError
-        If it holds something else and ``force`` is not set, or cannot be written.
+        If it holds something else and ``force`` is not set, cannot be written, or is in use.
     """
     try:
         if not force and out.is_dir() and any(out.iterdir()):
@@ -54,11 +57,32 @@ def reserve_folder(out: Path, table: str, design: str, *, force: bool) -> Iterat
         raise OutputError(
             "output-not-writable", f"cannot write {out}: {error.strerror}; choose another --out"
         ) from None
+    with _locked(out):
+        try:
+            yield
+        finally:
+            if not any(out.iterdir()):
+                out.rmdir()
+
+
+@contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """Keep other runs out of a folder; of two, the last to end would replace the other's result."""
+    handle = os.open(out, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        # Some network disks have no locks.
+        if error.errno in {errno.EAGAIN, errno.EACCES}:
+            os.close(handle)
+            raise OutputError(
+                "output-locked",
+                f"another run is writing to {out}; wait for it, or choose another --out",
+            ) from None
     try:
         yield
     finally:
-        if not any(out.iterdir()):
-            out.rmdir()
+        os.close(handle)
 
 
 def _design_of(table: Path) -> str:
