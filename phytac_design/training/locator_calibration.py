@@ -15,6 +15,7 @@ from phytac_decoder.estimation.contact_estimates import ContactDetection, Locate
 from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise, initial_state
 from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.estimation.force_correction import ForceCorrection
+from phytac_decoder.estimation.locator import SETTINGS as LOCATOR_SETTINGS
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_design.datasets.samples import FAILED, Samples, TouchRows
 from phytac_design.training.force_correction_fit import fit_correction
@@ -49,7 +50,8 @@ class CalibrationSettings:
     place_min_mm: float = 0.3
     """Smallest standard deviation of the prior place."""
     contacts_min: int = 10
-    """Contacts that a prior or a correction needs; fewer determine only the stiffness."""
+    """Contacts that a prior or a correction needs; fewer determine only the stiffness, and
+    intervals stay as wide as by design: residuals of a few contacts do not show the spread."""
 
 
 SETTINGS = CalibrationSettings()
@@ -217,6 +219,8 @@ def calibrate_locator(
             truth_N=matches.truth_N,
             block=press_blocks(samples, matches.touch),
         )
+    else:
+        correction = replace(correction, spread_share=LOCATOR_SETTINGS.stiffness_sd)
     correction = replace(correction, stiffness=first * second)
     facts = {
         "contacts": len(matches.force_N),

@@ -164,6 +164,24 @@ def test_few_samples_determine_the_stiffness_alone() -> None:
     assert learnt.correction.factor(at, np.array([5.0]), np.ones(1)) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("count", [3, 5, 7, 12])
+def test_intervals_after_few_presses_hold_what_they_state(count: int) -> None:
+    """Of 4 to 18 contacts, on two draws; a quarter of 90 % intervals held with 4 and 7 before."""
+    inside = []
+    for seed in (1, 2):
+        own, fresh = (pressed(k, seed=s, slope=0.08) for k, s in ((count, 100 + seed), (60, seed)))
+        learnt, _ = calibrate_locator(LOCATOR, own, np.arange(count), force_max_N=25.0)
+        matches = match_contacts(replace(learnt, correction=None), fresh, np.arange(60))
+        correction = learnt.correction
+        assert correction is not None
+        force = matches.force_N * correction.factor(
+            matches.point_mm, matches.force_N, matches.signal_px
+        )
+        sd = correction.spread_N(force, matches.sd_N)
+        inside.append(np.abs(force - matches.truth_N) < 1.6449 * sd)
+    assert np.concatenate(inside).mean() > 0.8
+
+
 def test_same_samples_same_locator() -> None:
     again, facts = calibrate_locator(LOCATOR, training(), np.arange(120), force_max_N=25.0)
     assert facts == taught()[1]
