@@ -96,6 +96,11 @@ def test_the_command_reports_its_output_and_overwrites_nothing(tmp_path: Path) -
         to_parquet(contacts, target)
     caught.match("--force")
     assert to_parquet(contacts, target, force=True)[0] == 4
+    rows = contacts.read_bytes()
+    with refused("file-ending") as other:
+        to_parquet(contacts, contacts, force=True)
+    other.match("end its name in .parquet")
+    assert contacts.read_bytes() == rows
 
 
 def test_csv_is_not_written_under_another_formats_name(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Recordings as Zarr in the layout of FTP-1, and what a kill leaves of all formats."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,8 +47,11 @@ def test_rows_are_what_the_stream_says(tmp_path: Path, monkeypatch: pytest.Monke
     # The second frame of each is black.
     assert data["phytac_valid"][:].tolist() == [True, False, True, True, False]
     assert data["left_tactile_data_wrench"][:, 0, 2].tolist() == [-4.5, 0.0, -4.5, -4.5, 0.0]
+    # About the frame's origin, whatever point the stream's are about.
+    origin = frames(replace(messages(), moment_about_mm=(0.0, 0.0, 0.0)), 2)[0]["net_moment_Nmm"]
+    assert origin != frames(messages(), 2)[0]["net_moment_Nmm"]
     about = data["left_tactile_data_wrench"][0, 0, 3:6]
-    assert about.tolist() == pytest.approx(frames(messages(), 2)[0]["net_moment_Nmm"], rel=1e-6)
+    assert about.tolist() == pytest.approx(origin, rel=1e-4)
     assert np.flatnonzero(data["left_tactile_data_switches"][0, 0]).tolist() == [7, 14, 28]
     strongest = data["left_tactile_data_contacts"][0, 0, 0].tolist()
     assert strongest == pytest.approx([4.0, 0.0, 12.5, 12.5, 0.0])

@@ -14,7 +14,10 @@ Theory = Literal["auto", "linear", "large"]
 Parameter = StrEnum("Parameter", ["modulus", "thickness", "poisson"])
 AtOption = Annotated[
     str,
-    typer.Option(help="Marker number, or chart position u,v; the middle if not given."),
+    typer.Option(
+        help="Marker number, or chart position u,v; the middle if not given. Around the axis of a "
+        "closed shape it is an angle in radians."
+    ),
 ]
 RadiusOption = Annotated[
     float | None,

@@ -140,3 +140,9 @@ def print_audit(done: dict[str, Any], out: Path) -> None:
             f"{item['presses']} presses {100.0 * item['actual']:.2g} %, worst "
             f"{100.0 * item['worst']:.2g} %, allowed {100.0 * item['allowed']:g} %"
         )
+        if item["worst"] > max(item["predicted"], item["allowed"]):
+            say(
+                "warning: the worst press is further off than was predicted, and than the scene "
+                "allows: the prediction does not cover places where the markers hardly determine "
+                "a force (near rims); its interval does. Train the decoder, or move the regions"
+            )

@@ -279,7 +279,7 @@ def serve(
 
 def convert(
     recording: Annotated[
-        Path, typer.Argument(help="CSV of `phytac serve --record`, or any other CSV.")
+        Path, typer.Argument(help="CSV of `phytac serve --record` or --record-regions.")
     ],
     target: Annotated[Path, typer.Argument(help="Parquet file to make.")],
     force: Annotated[bool, typer.Option(help="Overwrite the file.")] = False,

@@ -40,6 +40,10 @@ def to_parquet(
         If the target is there, or cannot be written.
     """
     arrow = parquet_library()
+    if target.suffix.lower() != ".parquet":
+        raise InputError(
+            "file-ending", f"this writes Parquet (got {target.name}); end its name in .parquet"
+        )
     if target.exists() and not force:
         raise OutputError(
             "output-exists", f"{target} is there already; add --force, or choose another name"
@@ -122,7 +126,9 @@ def _read(arrow: Any, recording: Path, report: Callable[[str], None]) -> Any:
         raise InputError("file-unreadable", f"no recording at {recording} ({reason})") from None
     except arrow.ArrowInvalid as error:
         raise InputError(
-            "recording-invalid", f"{recording} is no recording: {str(error).splitlines()[0]}"
+            "recording-invalid",
+            f"{recording} is no recording: {str(error).splitlines()[0]}; give a file of "
+            "`phytac serve --record` or --record-regions as it was written",
         ) from None
     if not {"sequence", "timestamp_s", "valid"} <= set(table.column_names):
         raise InputError(

@@ -184,7 +184,7 @@ def frame_messages(message: Message, stamp_ns: int, markers: int) -> Iterator[To
     """
     header = _header(stamp_ns, SENSOR_FRAME)
     if message["valid"]:
-        yield _wrench("wrench", header, message["net_force_N"], _moment_at_origin(message))
+        yield _wrench("wrench", header, message["net_force_N"], moment_at_origin(message))
         contacts = message["contacts"]
         wrenches = [_contact_wrench(contact) for contact in contacts]
         for region in message.get("regions", ()):
@@ -261,8 +261,8 @@ def _xyz(vector: Any, scale: float = 1.0) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
 
 
-def _moment_at_origin(message: Message) -> Any:
-    """Moment about the frame's origin, N·mm, of that about another point."""
+def moment_at_origin(message: Message) -> Any:
+    """Return the moment of a message about the sensor frame's origin, (3,) N·mm."""
     arm = np.cross(message["moment_about_mm"], message["net_force_N"])
     return np.asarray(message["net_moment_Nmm"]) + arm
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from phytac_decoder.serving.wire_protocol import Message
 from phytac_design.core.lerobot_writer import CONTACTS, message_frame
+from phytac_design.core.ros2_messages import moment_at_origin
 from phytac_shapes.errors import InputError, OutputError, cause_of
 
 SENSOR = "PhyTac"
@@ -209,7 +210,7 @@ class ZarrRecorder:
     def add(self, message: Message) -> None:
         """Keep a frame; raises OutputError if the disk is full."""
         frame = message_frame(message, self._markers)
-        moment = message.get("net_moment_Nmm", np.zeros(3))
+        moment = moment_at_origin(message) if "net_moment_Nmm" in message else np.zeros(3)
         self._waiting.append({**frame, "time": message["timestamp_s"], "moment": moment})
         self.rows += 1
         if time.monotonic() - self._written_s >= CHUNK_s:

@@ -78,6 +78,7 @@ def export_simulator(
     with reserve_folder(out, TABLE, design.name, force=force):
         part = make_part(sensor, switches_for(design, progress))
         texts = (FORMATS | {"usd": usd})[to](part, receptors=framed, prefix=prefix)
+        before = _files_of(out / TABLE)
         with write_folder(out, TABLE) as folder:
             for name, text in texts.items():
                 (folder / name).write_text(text, encoding="utf-8")
@@ -90,10 +91,19 @@ def export_simulator(
             facts = _facts(design, part, to, framed, files)
             text = json.dumps(finite(facts), indent=1, sort_keys=True)
             (folder / TABLE).write_text(text + "\n", encoding="utf-8")
-        for path in [*out.glob("visual_*.obj"), *out.glob("collision_*.obj")]:
-            if path.name not in files:
-                path.unlink()  # of an earlier version of the design
+        # Of an earlier state of the design, or for another simulator: they name these meshes.
+        for name in before - {*files, TABLE}:
+            (out / name).unlink(missing_ok=True)
     return facts
+
+
+def _files_of(table: Path) -> set[str]:
+    """Names of an earlier export's files, which lie beside its table; none if it has none."""
+    try:
+        names = json.loads(table.read_text(encoding="utf-8"))["files"]
+        return {name for name in names if name == Path(name).name}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
 
 
 def _design_bowls(context: Context, folder: Path) -> None:

@@ -116,19 +116,23 @@ def test_the_frame_in_which_it_ended_says_so() -> None:
 
 def test_a_client_asks_by_one_line() -> None:
     asked: list[str] = []
-    with StreamServer({"type": "hello"}, port=0, tare=lambda: asked.append("tare")) as server:
+    said: list[str] = []
+    with StreamServer(
+        {"type": "hello"}, port=0, tare=lambda: asked.append("tare"), report=said.append
+    ) as server:
         client = Client(server)
         client.socket.sendall(b'{"type":"other"}\n{"ty')
         client.socket.sendall(b'pe":"tare"}\n')
         wait_until(lambda: len(asked) == 1)
-        # What is no message is ignored, and so is all after it; the stream continues.
-        client.socket.sendall(b"no message\n")
-        client.socket.sendall(b'{"type":"tare"}\n')
-        time.sleep(0.05)
+        # What is no message is ignored, and the next line is read again.
+        client.socket.sendall(b"\nno message\n[1]\n\xff\xfe\n")
+        client.socket.sendall(b'{"type":"tare"}\nno message\n{"type":"tare"}\n')
+        wait_until(lambda: len(asked) == 3)
         server.publish({"type": "frame", "sequence": 0})
         wait_until(lambda: any(one["type"] == "frame" for one in client.got))
     assert client.all()[-1]["type"] == "end"
-    assert asked == ["tare"]
+    assert asked == ["tare"] * 3
+    assert sum("sends what is ignored" in text for text in said) == 1
 
 
 def test_the_live_view_has_a_button() -> None:

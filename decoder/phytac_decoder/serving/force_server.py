@@ -78,6 +78,7 @@ class Receiver(asyncio.Protocol):
         self._framing = "lines" if serial else server.framing
         self._queue = self._limits.serial_queue if serial else self._limits.queue
         self._received_bytes, self._full = 0, False
+        self.heard = True
         self._commands: MessageSplitter | None = MessageSplitter(self._framing)
         self._waiting: deque[bytes] = deque()
         self._urgent: bytes | None = None
@@ -114,13 +115,18 @@ class Receiver(asyncio.Protocol):
         if self._received_bytes > self._limits.received_bytes:
             self._server.remove(self, "sends data, and has nothing to say here")
             return
-        if self._commands is None:
-            return
-        try:
-            for message in self._commands.feed(data):
-                self._server.command(self, message["type"])
-        except InputError:
-            self._commands = None
+        # A line that is no message does not spoil the next ones.
+        parts = data.splitlines(keepends=True) if self._framing == "lines" else [data]
+        for part in parts:
+            if self._commands is None:
+                return
+            try:
+                for message in self._commands.feed(part):
+                    self._server.command(self, message["type"])
+            except InputError as error:
+                self._server.ignore(self, str(error))
+                if self._framing != "lines":
+                    self._commands = None
 
     def eof_received(self) -> bool:
         """Stay: a client may close its own half and continue to listen."""
@@ -301,6 +307,12 @@ class StreamServer:
             receiver.transport.abort()
             if not self._stopping.is_set():
                 self._log(f"{receiver.name} {reason}; closed")
+
+    def ignore(self, receiver: Receiver, reason: str) -> None:
+        """Report, once for each receiver, that what it sends is no message."""
+        if receiver.heard:
+            receiver.heard = False
+            self._log(f"{receiver.name} sends what is ignored: {reason}")
 
     def command(self, receiver: Receiver, name: str) -> None:
         """Do what a receiver asks for, in the server's thread; unknown commands are ignored."""

@@ -62,6 +62,13 @@ def parse_contact_patch(
             "patch-radius-invalid",
             f"the patch radius must be a number of mm, 0 or more (got {radius})",
         )
+    size = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1])
+    if radius > size / 2.0:
+        raise DesignError(
+            "patch-radius-invalid",
+            f"a patch of radius {radius:g} mm does not fit on a sensor {size:.3g} mm wide; give "
+            f"at most {size / 2.0:.3g} mm",
+        )
     return ContactPatch(
         uv=_position(surface, markers, at.strip()), radius_mm=radius, force_N=force_N
     )
@@ -96,6 +103,13 @@ def _position(surface: Surface, markers: Markers, at: str) -> FloatArray:
     for name, value, (low, high), closed in zip(
         "uv", number, domain.tolist(), surface.periodic, strict=True
     ):
+        turns = 2.0 * (high - low)
+        if closed and not low - turns <= value <= high + turns:
+            raise DesignError(
+                "contact-off-surface",
+                f"{name} = {value:g} is more than two turns beyond {low:g} to {high:g}; it is an "
+                "angle in radians",
+            )
         if not closed and not low <= value <= high:
             raise DesignError(
                 "contact-off-surface",

@@ -137,3 +137,14 @@ def test_the_command_prints_the_plan_and_json() -> None:
     report = json.loads(plain.stdout)
     assert report["predicted"]["seconds"] >= 0.0
     assert {row["stage"] for row in report["stages"]} == {stage.name for stage in STAGES}
+
+
+@pytest.mark.parametrize(("worst", "warned"), [(0.26, True), (0.019, False)])
+def test_a_press_that_the_prediction_does_not_cover_is_warned_of(
+    capsys: pytest.CaptureFixture[str], worst: float, *, warned: bool
+) -> None:
+    error = {"predicted": 0.014, "allowed": 0.02, "actual": 0.006, "worst": worst, "presses": 6}
+    cost = {"predicted": 1.0, "actual": 1.0}
+    done = {"stages": {}, "seconds": cost, "memory_MB": cost, "error": error}
+    plan_command.print_audit(done, Path("out"))
+    assert ("the worst press is further off" in capsys.readouterr().err) == warned
