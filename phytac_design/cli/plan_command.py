@@ -144,5 +144,5 @@ def print_audit(done: dict[str, Any], out: Path) -> None:
             say(
                 "warning: the worst press is further off than was predicted, and than the scene "
                 "allows: the prediction does not cover places where the markers hardly determine "
-                "a force (near rims); its interval does. Train the decoder, or move the regions"
+                "a force (near rims), and where the decoder states a wide interval"
             )

@@ -4,6 +4,8 @@ A force gauge that is stuck, or a log whose rows belong to other pictures, would
 is wrong and states narrow intervals.
 """
 
+from contextlib import suppress
+
 import numpy as np
 
 from phytac_decoder.estimation.locator import ContactLocator
@@ -43,15 +45,16 @@ def check_agreement(locator: ContactLocator, samples: Samples) -> str:
         If hardly any contact is found where it was pressed, or all recorded forces are the same
         while those that the markers show are not.
     """
-    _, _, _, bits = samples.points()
+    touches, _, _, bits = samples.points()
     on = np.flatnonzero(bits.any(axis=1) & (samples.status != FAILED))
-    if len(on) < CONTACTS_MIN:
+    if len(on) < CONTACTS_MIN or not len(touches.force_N):
         return ""
     chosen = on[np.unique(np.linspace(0, len(on) - 1, LOOKED_AT).round().astype(np.int64))]
-    matches = match_contacts(locator, samples, chosen)
-    touches, *_ = samples.points()
-    found = len(np.unique(touches.sample[matches.touch]))
-    if found < MATCHED_MIN * len(chosen):
+    matches = None
+    with suppress(InputError):  # none matches
+        matches = match_contacts(locator, samples, chosen)
+    found = 0 if matches is None else len(np.unique(touches.sample[matches.touch]))
+    if matches is None or found < MATCHED_MIN * len(chosen):
         raise InputError(
             "contacts-elsewhere",
             f"in {len(chosen) - found} of {len(chosen)} samples with a switch on no contact is "

@@ -238,8 +238,10 @@ def test_forces_of_other_presses_are_noticed() -> None:
     assert "do not follow the motion" in check_agreement(LOCATOR, _with_forces(other))
 
 
-def test_pictures_of_other_presses_are_refused() -> None:
-    samples = training()
+@pytest.mark.parametrize("count", [12, 120])
+def test_pictures_of_other_presses_are_refused(count: int) -> None:
+    """Also where not one contact is found by chance."""
+    samples = select_samples(training(), np.arange(count))
     assert samples.shift_px is not None
     assert samples.bits_read is not None
     late = replace(

@@ -78,7 +78,7 @@ class Receiver(asyncio.Protocol):
         self._framing = "lines" if serial else server.framing
         self._queue = self._limits.serial_queue if serial else self._limits.queue
         self._received_bytes, self._full = 0, False
-        self.heard = True
+        self.reported_ignored = False
         self._commands: MessageSplitter | None = MessageSplitter(self._framing)
         self._waiting: deque[bytes] = deque()
         self._urgent: bytes | None = None
@@ -310,8 +310,8 @@ class StreamServer:
 
     def ignore(self, receiver: Receiver, reason: str) -> None:
         """Report, once for each receiver, that what it sends is no message."""
-        if receiver.heard:
-            receiver.heard = False
+        if not receiver.reported_ignored:
+            receiver.reported_ignored = True
             self._log(f"{receiver.name} sends what is ignored: {reason}")
 
     def command(self, receiver: Receiver, name: str) -> None:
