@@ -343,7 +343,7 @@ def test_a_recording_has_a_row_for_each_contact_and_loses_none(tmp_path: Path) -
     ]
     with refused("output-exists") as caught:
         Recorder(path)
-    caught.match("--record")
+    caught.match("choose another name")
     recorder.__exit__(None, None, None)
 
 
@@ -362,7 +362,7 @@ def test_a_recording_of_regions_has_a_row_for_each_frame(tmp_path: Path) -> None
     assert recorder.rows == 2
     with refused("output-exists") as caught:
         RegionRecorder(path, [])
-    caught.match("--record-regions")
+    caught.match("choose another name")
 
 
 class Full(io.FileIO):
