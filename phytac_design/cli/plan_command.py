@@ -143,6 +143,6 @@ def print_audit(done: dict[str, Any], out: Path) -> None:
         if item["worst"] > max(item["predicted"], item["allowed"]):
             say(
                 "warning: the worst press is further off than was predicted, and than the scene "
-                "allows: the prediction does not cover places where the markers hardly determine "
-                "a force (near rims), and where the decoder states a wide interval"
+                "allows. Where markers hardly determine a force, as near rims, the prediction is "
+                "too small: rely on the interval that the decoder gives with each force"
             )
