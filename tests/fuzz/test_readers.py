@@ -123,8 +123,7 @@ def test_what_a_reader_must_not_do_is_found(tmp_path: Path) -> None:
 
     def blow_up() -> None:
         # Ten times the limit, since memory that this process frees meanwhile does not count.
-        for _ in range(50):
-            hoard.append(bytes(100 << 20))
+        hoard.extend(bytes(100 << 20) for _ in range(50))
 
     def spin() -> None:
         while True:
