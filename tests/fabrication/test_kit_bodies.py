@@ -15,7 +15,13 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.grippers import jaw, palm_radius_mm
 from phytac_design.fabrication.calibration_rig.guide import guide_text
 from phytac_design.fabrication.calibration_rig.program import gcode, make_program
-from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at, make_regions
+from phytac_design.fabrication.calibration_rig.regions import (
+    RADIUS_MIN_mm,
+    Regions,
+    follows,
+    frames_at,
+    make_regions,
+)
 from phytac_design.fabrication.calibration_rig.tool_bodies import (
     CalibrationKit,
     kit_bodies,
@@ -265,6 +271,31 @@ def test_the_palm_is_as_wide_as_curvature_and_rims_let_it_be() -> None:
     )
     narrow = copy_of(design, shape={"diameter_outer_mm": 40.0}, layout={"height_far_mm": 4.0})
     assert palm_radius_mm(Sensor.of(*built(narrow)), middle) == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize(
+    ("depth_mm", "edge_mm", "radius_mm"), [(24.0, 4.0, 12.0), (26.0, 2.0, 14.0)]
+)
+def test_tools_stay_on_a_narrow_face(depth_mm: float, edge_mm: float, radius_mm: float) -> None:
+    """A palm as wide as the face would hang over its edges, and so would an indenter on one."""
+    shape = {"width_mm": 60.0, "depth_mm": depth_mm, "length_mm": 60.0, "edge_radius_mm": edge_mm}
+    case = family_design("cuboid")
+    narrow = copy_of(case, shape=shape, wall={"thickness_mm": 0.8})
+    sensor = Sensor.of(*built(narrow))
+    surface, uv = sensor.surface, sensor.markers.uv
+    middle = int(np.argmin(np.linalg.norm(surface.point(uv) - [30.0, 0.0, 30.0], axis=1)))
+    radius = palm_radius_mm(sensor, middle)
+    assert RADIUS_MIN_mm < radius < radius_mm
+    assert follows(surface, uv[[middle]], radius)[0]
+    assert not follows(surface, uv[[middle]], radius_mm)[0]
+    made = kit_bodies(sensor, make_regions(sensor), bowl_mm=BOWL_mm, tolerance_mm=0.05)
+    assert "gripper_palm" not in made.left_out
+    for piece in made.pieces:
+        if piece.name == "collar":
+            continue
+        facts = manifold_facts(piece.body)
+        assert 100.0 < facts.volume_mm3 < 1e5, piece.name
+        assert np.ptp(facts.bounds_mm, axis=0).max() < 80.0, piece.name
 
 
 @pytest.mark.parametrize(

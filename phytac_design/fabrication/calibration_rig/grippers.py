@@ -12,6 +12,7 @@ from phytac_design.fabrication.calibration_rig.regions import (
     RADIUS_MIN_mm,
     Regions,
     clear_mm,
+    follows,
     frames_at,
 )
 from phytac_design.fabrication.calibration_rig.tool_solids import (
@@ -41,19 +42,23 @@ def middle_marker(sensor: Sensor) -> int:
 
 
 def palm_radius_mm(sensor: Sensor, marker: int) -> float:
-    """Radius of the palm's face at a marker: as large as curvature and rims let it be."""
+    """Radius of the palm's face at a marker: as large as curvature, edges and rims let it be."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     curved_share = 0.6  # largest radius of the palm over the surface's radius of curvature
     palm_share = 2.0  # radius of the palm over that of the largest patch
+    narrower = 0.9  # radii that would hang over an edge step down by this
     uv = markers.uv[[marker]]
     room = float(clear_mm(design, surface, uv)[0]) - design.kit.clearance_mm
     reach = float(surface.reach_mm(uv)[0])
     wanted = palm_share * design.training.patch_radius_max_mm
-    return float(min(wanted, room, curved_share * reach))
+    radius = float(min(wanted, room, curved_share * reach))
+    while radius >= RADIUS_MIN_mm and not follows(surface, uv, radius)[0]:
+        radius *= narrower
+    return radius
 
 
 def palm(sensor: Sensor, tolerance_mm: float) -> Any:
-    """Wide indenter that follows the surface over several receptors; None if rims are too near."""
+    """Wide indenter over several receptors; None if rims or edges are too near for one."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     marker = middle_marker(sensor)
     radius = palm_radius_mm(sensor, marker)

@@ -26,7 +26,8 @@ def guide_text(
     forces = ", ".join(f"{force:.3g}" for force in program.force_N)
     travels = ", ".join(f"{travel:.3g}" for travel in program.displacement_mm)
     near = (
-        f" {len(regions.too_near)} stand too near a rim for any indenter and are left out."
+        f" {len(regions.too_near)} stand too near a rim, or on too sharp an edge, for any indenter "
+        "and are left out."
         if len(regions.too_near)
         else ""
     )

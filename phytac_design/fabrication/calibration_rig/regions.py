@@ -19,6 +19,8 @@ FIT_mm = 0.045
 """Largest distance of a face from the surface of the regions it serves."""
 RADIUS_MIN_mm = 0.8
 """Thinner indenters bend; regions that leave less room are left out."""
+COSINE_MIN = 0.5
+"""A face of an indenter leans at most 60 degrees from its plane: steeper sides are not pressed."""
 RINGS, SECTORS = 2, 24
 
 
@@ -53,7 +55,7 @@ class Regions:
     faces : tuple of Face
         Indenters.
     too_near : (k,) int
-        Needed markers that stand so near a rim that no indenter fits beside it.
+        Needed markers that no indenter fits: too near a rim, or on too sharp an edge.
     """
 
     symmetry: Symmetry
@@ -76,7 +78,8 @@ def heights_mm(surface: Surface, uv: FloatArray, xy: FloatArray) -> FloatArray:
     """Height of the outer face over the tangent planes at ``uv`` (n, 2), (n, k) mm.
 
     ``xy`` (k, 2) are places in the planes. Found by Newton's method along each normal, on the
-    distance to the surface's foot.
+    distance to the surface's foot. NaN where the normal misses the face, or meets it at a lean of
+    more than 60 degrees.
     """
     rounds = 30
     frame, base = frames_at(surface, uv), surface.point(uv)
@@ -84,17 +87,20 @@ def heights_mm(surface: Surface, uv: FloatArray, xy: FloatArray) -> FloatArray:
     up = np.broadcast_to(frame[:, None, :, 2], places.shape).reshape(-1, 3)
     places = places.reshape(-1, 3)
     height = np.zeros(len(places))
+    cosine = np.ones(len(places))
     todo = np.arange(len(places))
     for _ in range(rounds):
         at = places[todo] + height[todo, None] * up[todo]
         foot = surface.chart(at)
         normal = surface.normal(foot)
         gap = np.sum((at - surface.point(foot)) * normal, axis=1)
-        cosine = np.maximum(np.sum(normal * up[todo], axis=1), 0.2)
-        height[todo] -= gap / cosine
+        cosine[todo] = np.sum(normal * up[todo], axis=1)
+        height[todo] -= gap / np.maximum(cosine[todo], 0.2)
         todo = todo[np.abs(gap) > 1e-9]
         if len(todo) == 0:
             break
+    height[todo] = np.nan
+    height[cosine < COSINE_MIN] = np.nan
     return np.asarray(height.reshape(len(uv), len(xy)))
 
 
@@ -122,19 +128,28 @@ def clear_mm(design: Design, surface: Surface, uv: FloatArray) -> FloatArray:
     return out
 
 
-def radii_mm(design: Design, surface: Surface, uv: FloatArray) -> FloatArray:
-    """Radius of the indenter for each place, (n,) mm: the smallest patch, narrower near rims.
+def follows(surface: Surface, uv: FloatArray, radius_mm: float) -> BoolArray:
+    """Whether a disc of a radius around each place can follow the outer face, (n,)."""
+    rings, sectors = 2, 72  # as many sectors as the faces of indenters have
+    places = disc_places(radius_mm, rings=rings, sectors=sectors)
+    return np.asarray(np.isfinite(heights_mm(surface, uv, places)).all(axis=1))
 
-    0 where not even ``RADIUS_MIN_mm`` fits.
+
+def radii_mm(design: Design, surface: Surface, uv: FloatArray) -> FloatArray:
+    """Radius of the indenter for each place, (n,) mm: the smallest patch, narrower where needed.
+
+    Near rims, and where it would hang over an edge; 0 where not even ``RADIUS_MIN_mm`` fits.
     """
-    narrower = 0.75  # radii near rims step down by this
+    narrower = 0.75  # radii step down by this
     room = clear_mm(design, surface, uv) - design.kit.clearance_mm
-    radius = np.full(len(uv), design.training.patch_radius_min_mm)
-    while bool(np.any(radius > room)):
-        radius = np.where(radius > room, narrower * radius, radius)
-        radius = np.where(radius < RADIUS_MIN_mm, 0.0, radius)
-        if bool(np.all((radius <= room) | (radius == 0.0))):
-            break
+    radius, size = np.zeros(len(uv)), design.training.patch_radius_min_mm
+    least = min(RADIUS_MIN_mm, size)
+    todo = np.arange(len(uv))
+    while len(todo) and size >= least:
+        fits = size <= room[todo]
+        fits[fits] = follows(surface, uv[todo[fits]], size)
+        radius[todo[fits]] = size
+        todo, size = todo[~fits], narrower * size
     return radius
 
 

@@ -90,7 +90,7 @@ def kit_bodies(
     ]
     wide = palm(sensor, tol)
     if wide is None:
-        left["gripper_palm"] = "every marker stands too near a rim"
+        left["gripper_palm"] = "every marker stands too near a rim or an edge"
     else:
         pieces.append(Piece(name="gripper_palm", body=wide, note="covers several receptors"))
     if three is None:

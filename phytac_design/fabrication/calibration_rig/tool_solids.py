@@ -21,6 +21,7 @@ from phytac_design.geometry.triangles import (
 from phytac_design.solids.solid_mesh import box, to_manifold
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 FACE_RINGS, FACE_SECTORS = 12, 72
 OVER_mm = 1.0
@@ -66,6 +67,13 @@ def fitted_face(surface: Surface, uv: FloatArray, radius_mm: float, top_mm: floa
     """Rod of a radius whose lower end is the outer face itself around ``uv`` (2,)."""
     places = disc_places(radius_mm, rings=FACE_RINGS, sectors=FACE_SECTORS)
     height = heights_mm(surface, uv[None], places)[0]
+    if not np.isfinite(height).all():
+        raise NumericalError(
+            "indenter-off-face",
+            f"an indenter of radius {radius_mm:.3g} mm cannot follow the outer face at (u, v) = "
+            f"({uv[0]:.4g}, {uv[1]:.4g}), which is too steep there; lower "
+            "training.patch_radius_min_mm",
+        )
     face = np.column_stack([places, height])
     ids = np.arange(FACE_RINGS * FACE_SECTORS).reshape(FACE_RINGS, FACE_SECTORS)
     centre = FACE_RINGS * FACE_SECTORS
