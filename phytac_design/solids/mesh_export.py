@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.geometry.triangles import TriangleMesh, distinct_points, proper_triangles
-from phytac_shapes.errors import OutputError
+from phytac_shapes.errors import NumericalError, OutputError
 
 STL_HEADER = b"PhyTac Design, binary STL, units mm".ljust(80)
 STL_RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -23,6 +23,31 @@ DISPLAY_COLOURS = {
 """RGBA of the bodies in a 3MF file, for display in slicers."""
 NAMESPACE = uuid.UUID("6f0c2f5e-6f7c-5d0e-9a37-0d1f5a1c7b60")
 """Root of all ids in 3MF files: ids follow from names, so files do not change from run to run."""
+
+
+def check_solid(mesh: TriangleMesh, name: str) -> None:
+    """Refuse a mesh that is no solid, before a printer or a bill gets it.
+
+    Parameters
+    ----------
+    name : str
+        Of the part or its file, for the message.
+
+    Raises
+    ------
+    NumericalError
+        If it is empty, not closed, or encloses no volume.
+    """
+    corners, count = mesh.triangles, len(mesh.vertices_mm)
+    first, second = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    forth, back = np.sort(first * count + second), np.sort(second * count + first)
+    volume = mesh.volume_mm3
+    if not (0.0 < volume < np.inf and np.array_equal(forth, back)):
+        raise NumericalError(
+            "body-without-volume",
+            f"{name} is no closed solid (got {len(corners)} triangles around {volume:.4g} mm³); "
+            "please report this design",
+        )
 
 
 def stl_bytes(mesh: TriangleMesh) -> bytes:
@@ -63,7 +88,8 @@ def read_stl(path: Path) -> TriangleMesh:
 
 
 def write_stl(mesh: TriangleMesh, path: Path) -> None:
-    """Write a binary STL file."""
+    """Write a binary STL file of a solid (:func:`check_solid`)."""
+    check_solid(mesh, path.name)
     path.write_bytes(stl_bytes(mesh))
 
 

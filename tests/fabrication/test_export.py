@@ -22,6 +22,7 @@ from phytac_design.solids.mesh_export import (
 )
 from phytac_design.solids.solid_mesh import painted_manifolds, shell_manifold, to_triangles
 from tests.fabrication.cases import FAMILIES, built, design, family_design, shipped
+from tests.refusals import refused
 
 SINGLE = 3e-6
 """Relative rounding of 32-bit coordinates, summed over a thin shell."""
@@ -48,6 +49,19 @@ def test_stl_opens_in_trimesh_as_it_was(small: TriangleMesh, tmp_path: Path) -> 
     assert len(body.faces) == len(small.triangles)
     assert body.volume == pytest.approx(small.volume_mm3, rel=SINGLE)
     assert 1 - body.euler_number // 2 == 13
+
+
+@pytest.mark.parametrize("kept", [slice(0), slice(1, None), slice(None, None, -1)])
+def test_what_is_no_solid_is_refused_by_its_name(
+    kept: slice, small: TriangleMesh, tmp_path: Path
+) -> None:
+    """Empty, open, inside out."""
+    inward = small.flipped() if kept.step else small
+    broken = TriangleMesh(vertices_mm=small.vertices_mm, triangles=inward.triangles[kept])
+    with refused("body-without-volume") as found:
+        write_stl(broken, tmp_path / "palm.stl")
+    assert str(found.value).startswith(f"palm.stl is no closed solid (got {len(broken.triangles)}")
+    assert not (tmp_path / "palm.stl").exists()
 
 
 def test_stl_layout(small: TriangleMesh) -> None:

@@ -15,7 +15,7 @@ from phytac_design.fabrication.molds.audit import (
 from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.plate_grid import Run
 from phytac_design.fabrication.switch_set import SwitchSet
-from phytac_design.solids.mesh_export import stl_bytes
+from phytac_design.solids.mesh_export import check_solid, stl_bytes
 
 
 @dataclass(kw_only=True)
@@ -55,7 +55,9 @@ def mold_files(
         out.sets.append(audit_facts(each, audit))
         out.poured_mm3.append(volumes_mm3(each, audit, fine))
         for name, mesh in each.printed.items():
-            out.contents[f"mold/{name}_{each.plan.number}.stl"] = stl_bytes(mesh)
+            file = f"mold/{name}_{each.plan.number}.stl"
+            check_solid(mesh, file)
+            out.contents[file] = stl_bytes(mesh)
     out.contents["mold/cavities.csv"] = _table(made, switches).encode()
     return out
 

@@ -170,7 +170,9 @@ def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Ori
     ups = directions()
     if len(mesh.vertices_mm) < 4:
         raise NumericalError(
-            "body-without-volume", "a body without volume cannot be printed; check the mesh"
+            "body-without-volume",
+            f"a body without volume cannot be printed (got {len(mesh.vertices_mm)} corners); "
+            "check the mesh",
         )
     hull = mesh.vertices_mm[ConvexHull(mesh.vertices_mm).vertices]
     figures = np.zeros((len(ups), 3))
