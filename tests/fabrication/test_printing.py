@@ -12,6 +12,7 @@ from phytac_design.fabrication.printing.print_checks import check_body, check_sh
 from phytac_design.fabrication.printing.print_drawing import draw_report
 from phytac_design.fabrication.printing.receptors import check_receptors
 from phytac_design.fabrication.printing.violations import Violation
+from phytac_design.fabrication.printing.voids import cups
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.layout.sensor import Sensor
@@ -117,6 +118,27 @@ def test_a_cup_depends_on_the_direction_and_the_search_avoids_it() -> None:
     assert found(cup, up=-UP) == []
     assert found(cup, up=None) == []
     assert found(cup, PrintSection(process="polyjet")) == []
+
+
+@pytest.mark.parametrize(
+    ("lean_deg", "pocket", "due_mm3"),
+    [
+        (0.0, (8.0, 8.0), 16.0 * 16.0 * 18.0),
+        (45.0, (8.0, 8.0), 16.0 * (16.0 * 18.0 - 16.0 * 16.0 / 2.0)),
+        (0.0, (8.0, 2.0), 16.0 * 4.0 * 18.0 + 4.0 * 2.0 * 18.0),
+    ],
+)
+def test_a_cup_holds_resin_up_to_its_brim_and_in_its_slots(
+    lean_deg: float, pocket: tuple[float, float], due_mm3: float
+) -> None:
+    x, y = pocket
+    cup = block((-10, -10, -10), (10, 10, 10)) - block((-x, -y, -8), (x, y, 12))
+    if y < x:  # a slot that the drain's ball does not enter
+        cup -= block((-1, y - 1, -8), (1, y + 4, 12))
+    lean = np.radians(lean_deg)
+    (only,) = cups(to_triangles(cup), np.array([np.sin(lean), 0.0, np.cos(lean)]), RULES)
+    held = float(only.fix.removeprefix("about ").split(" mm³")[0])
+    assert held == pytest.approx(due_mm3, rel=0.06)
 
 
 def test_overhangs_of_a_table_top() -> None:

@@ -174,8 +174,14 @@ def _trapped(
     """Violations of the hollows whose openings are together smaller than the drain."""
     drain = rules.drain_min_mm
     found = []
-    for item, area in _holding(grid, hollows, np.pi / 4.0 * drain**2, reached):
-        fix = f"about {float(item.cells.sum()) * grid.cell_mm**3:.0f} mm³ of resin {advice}"
+    holding = _holding(grid, hollows, np.pi / 4.0 * drain**2, reached)
+    if holding:
+        # Corners and slots of a hollow hold resin, too, where the ball does not fit.
+        shut = ~grid.solid & ~reached(~grid.solid)
+    for item, area in holding:
+        label = ndimage.label(item.counted | shut[item.box])[0]
+        held = np.isin(label, np.unique(label[item.counted]))
+        fix = f"about {float(held.sum()) * grid.cell_mm**3:.0f} mm³ of resin {advice}"
         found.append(violation(rule, item.middle_mm, 2.0 * np.sqrt(area / np.pi), drain, fix))
     return found
 
