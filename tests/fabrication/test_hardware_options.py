@@ -11,12 +11,13 @@ from phytac_design.fabrication.hardware.bar import strip_mm
 from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
 from phytac_design.fabrication.hardware.screws import SCREWS
 from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
+from phytac_design.fabrication.printing.print_checks import check_body
 from phytac_design.geometry.triangles import prisms
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_facts import manifold_facts
-from phytac_design.solids.solid_mesh import to_manifold
+from phytac_design.solids.solid_mesh import to_manifold, to_triangles
 from tests.fabrication.hardware_cases import case, changed, solids, switches
 
 SMALL: dict[str, Any] = {"rows": 4, "columns": 8}
@@ -123,3 +124,14 @@ def test_the_cable_leaves_the_cover() -> None:
     assert low < camera.bounding_box()[2]
     ends = np.array([[0.0, -40.0, low]]), np.array([[0.0, -10.0, low]])
     assert (to_manifold(prisms(*ends, 1.9, 32)) ^ cover).volume() < 1e-6
+
+
+@pytest.mark.parametrize("board", ["38x38", "raspberry-pi-v2"])
+def test_posts_of_the_cover_are_joined_to_walls_that_they_are_near(board: str) -> None:
+    """Those of the default board would stand 0.05 mm off the cover's walls."""
+    design = changed("cone", hardware={"board": board, **BOARDS[board]}, layout=SMALL)
+    surface = design.surface()
+    kit = make_hardware(design, surface)
+    cover = hardware_solids(design, surface, kit, tolerance_mm=0.05)["cover"]
+    found = check_body(to_triangles(cover), design.print_rules, spacing_mm=1.0)
+    assert [item.rule for item in found.violations] == []

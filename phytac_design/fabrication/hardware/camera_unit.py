@@ -186,13 +186,33 @@ def _cover(
     aside = np.abs(np.array(hardware.board_holes_mm) - np.array(inside.centre_mm))
     if float((aside + boss_mm + clearance - np.array(inside.size_mm) / 2.0).max()) > TOUCH_mm:
         tools += _rods(design, boss_mm + clearance, board - clearance, top + 1.0)
-    posts = _rods(
-        design,
-        joint.screw.clearance_mm / 2.0 + BOSS_mm,
-        floor + 0.5 * hardware.wall_mm,
-        board - hardware.board_thickness_mm - TOUCH_mm,
-    )
+    post = joint.screw.clearance_mm / 2.0 + BOSS_mm
+    levels = floor + 0.5 * hardware.wall_mm, board - hardware.board_thickness_mm - TOUCH_mm
+    posts = *_rods(design, post, *levels), *_ribs(design, inside, post, levels)
     return outside, Union((Difference(Prism(outside, floor, top), tuple(tools)), *posts))
+
+
+def _ribs(
+    design: Design, inside: Rect, radius: float, levels_mm: tuple[float, float]
+) -> tuple[Prism, ...]:
+    """Blocks that join posts to the walls of the cover that they stand too near to print apart."""
+    hardware = design.hardware
+    middle, half = np.array(inside.centre_mm), np.array(inside.size_mm) / 2.0
+    into = 0.5 * hardware.wall_mm  # how far they reach into a wall
+    ribs = []
+    for hole in np.array(hardware.board_holes_mm):
+        side = np.where(hole < middle, -1.0, 1.0)
+        wall = middle + side * half
+        near = np.abs(wall - hole) - radius < design.print_rules.gap_min_mm
+        outer = np.where(near, wall + into * side, hole + radius * side)
+        for axis in np.flatnonzero(near):
+            # From the post's axis to the wall, as wide as the post.
+            inner = hole - radius * side
+            inner[axis] = hole[axis]
+            width, depth = np.abs(outer - inner).tolist()
+            x, y = (0.5 * (outer + inner)).tolist()
+            ribs.append(block((width, depth), *levels_mm, (x, y)))
+    return tuple(ribs)
 
 
 def _joint(
