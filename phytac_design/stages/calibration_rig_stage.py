@@ -63,6 +63,7 @@ KIT = Stage(
         "training.force_min_N",
         "touch",
         "kit",
+        "print_rules.gap_min_mm",
     ),
     settings=("cad_tolerance_mm",),
     depends_on=("switch",),

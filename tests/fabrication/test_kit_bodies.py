@@ -28,6 +28,7 @@ from phytac_design.fabrication.calibration_rig.tool_bodies import (
     kit_parts,
 )
 from phytac_design.fabrication.calibration_rig.tool_solids import bolt_places, tool_height_mm
+from phytac_design.fabrication.printing.print_checks import check_body
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_export import write_stl
@@ -40,6 +41,7 @@ from tests.fabrication.cases import built, family_design, shipped
 
 TOL_mm = 0.03
 BOWL_mm = 1.8
+UP = np.array([0.0, 0.0, 1.0])
 NAMES = ("cylinder60", "cone", "cuboid", "plane", "hemisphere", "patch")
 TOUCH_mm3 = 1e-3
 """Common volume of solids that touch, by rounding."""
@@ -229,6 +231,17 @@ def test_three_load_cells_stand_between_jaw_and_indenters() -> None:
             assert (one ^ other).volume() == pytest.approx(0.0, abs=1e-6)
     shell = shell_manifold(Sensor.of(design, surface, markers), tolerance_mm=0.01)
     assert (body ^ shell).volume() == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["grip", "patch"])
+def test_posts_of_the_jaw_can_be_printed(name: str) -> None:
+    """Apart on a waist, run into each other on a hollow face, but with no slit between them."""
+    design, surface, markers = built(shipped(name))
+    sensor = Sensor.of(design, surface, markers)
+    found = jaw(sensor, make_regions(sensor), TOL_mm)
+    assert found is not None
+    report = check_body(to_triangles(found[0]), design.print_rules, spacing_mm=1.0, up=UP)
+    assert [item.rule for item in report.violations] == []
 
 
 def test_what_cannot_be_made_is_left_out_with_a_reason() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from phytac_design.design.documents_table import KitSection
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.regions import (
     RADIUS_MIN_mm,
@@ -27,8 +28,6 @@ from phytac_design.fabrication.calibration_rig.tool_solids import (
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.solid_mesh import box
 from phytac_shapes.arrays import FloatArray
-
-WALL_mm = 1.5
 
 
 def middle_marker(sensor: Sensor) -> int:
@@ -78,13 +77,17 @@ def three_markers(sensor: Sensor, regions: Regions) -> tuple[int, ...]:
         return ()
     points, normal = surface.point(markers.uv), markers.normal
     middle = middle_marker(sensor)
-    room = design.kit.cell_diameter_mm + 2.0 * WALL_mm
+    room = 2.0 * post_mm(design.kit)
     wide = regions.faces[0].radius_mm + design.kit.clearance_mm
     fits = clear_mm(design, surface, markers.uv) >= wide
     away = points - points[middle]
     far = np.linalg.norm(away, axis=1)
     lean = normal @ normal[middle] >= np.cos(np.radians(lean_max_deg))
-    near = np.flatnonzero(fits & lean & (far >= room))
+    least, most = _apart_mm(design, points, normal, middle)
+    # Posts stand apart by what can be printed, or run into each other, but into no seat.
+    apart = least >= room + design.print_rules.gap_min_mm
+    apart |= (most <= room) & (least >= room - LIP_mm[0])
+    near = np.flatnonzero(fits & lean & (far >= room) & apart)
     best: tuple[float, tuple[int, ...]] = (np.inf, ())
     for one in near[np.argsort(far[near], kind="stable")][:60].tolist():
         opposite = near[np.linalg.norm(away[near] + away[one], axis=1) < 0.3 * far[one]]
@@ -93,6 +96,22 @@ def three_markers(sensor: Sensor, regions: Regions) -> tuple[int, ...]:
             if length < best[0] - 1e-9:
                 best = (length, (middle, one, other))
     return best[1]
+
+
+def post_mm(kit: KitSection) -> float:
+    """Outer radius of a load cell's seat and of the post that carries it."""
+    return 0.5 * kit.cell_diameter_mm + kit.clearance_mm + LIP_mm[0]
+
+
+def _apart_mm(
+    design: Design, points: FloatArray, normal: FloatArray, middle: int
+) -> tuple[FloatArray, FloatArray]:
+    """Least and greatest distance of load cells' axes from the middle one, seat to slab, (n,)."""
+    seat = tool_height_mm(design.kit) + design.kit.cell_height_mm
+    levels = np.array([seat - LIP_mm[1], seat + design.kit.seat_mm])
+    at = points + levels[:, None, None] * normal
+    apart = np.linalg.norm(at - at[:, [middle]], axis=2)
+    return np.asarray(apart.min(axis=0)), np.asarray(apart.max(axis=0))
 
 
 def jaw(
@@ -119,18 +138,18 @@ def jaw(
     turns = np.einsum("ij,njk->nik", frame.T, frames_at(surface, markers.uv[ids]))
     seat = points + (tool_height_mm(kit) + kit.cell_height_mm) * normal
     slab = float(seat[:, 2].max()) + kit.seat_mm
-    post = 0.5 * kit.cell_diameter_mm + WALL_mm
+    post = post_mm(kit)
     # Around the rig's screws too; the middle post is at the origin.
     reach = np.maximum(np.abs(seat[:, :2]).max(axis=0) + post, 0.5 * kit.rig_bolt_square_mm + 5.0)
     body = box(np.array([*-reach, slab]), np.array([*reach, slab + kit.seat_mm]))
     tall = (slab + 0.5 * kit.seat_mm - seat[:, 2]) / normal[:, 2]
-    inner = 0.5 * kit.cell_diameter_mm + kit.clearance_mm
+    inner = post - LIP_mm[0]
     for k in range(len(ids)):
         start, up = seat[k], normal[k]
         lip = start - LIP_mm[1] * up
-        ring = rod(lip, start + up, inner + LIP_mm[0], tolerance_mm)
+        ring = rod(lip, start + up, post, tolerance_mm)
         ring = ring - rod(lip - OVER_mm * up, start, inner, tolerance_mm)
-        body = body + rod(start, start + tall[k] * up, inner + LIP_mm[0], tolerance_mm) + ring
+        body = body + rod(start, start + tall[k] * up, post, tolerance_mm) + ring
     for k in range(len(ids)):
         places = np.column_stack([bolt_places(kit), np.zeros(kit.cell_bolts)])
         at = seat[k] + places @ turns[k].T
