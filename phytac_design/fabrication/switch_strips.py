@@ -282,8 +282,9 @@ def strip_mesh(strips: StripSet, number: int, tolerance_mm: float = 0.02) -> Tri
     for (x, y), kind in zip(strip.flat_mm, kinds, strict=True):
         profile = switches.profile(kind, tolerance_mm)
         rim = int(profile[:, 0].argmax())
-        # Bars reach a little into the bowls: faces that only touch might not join.
-        outer = np.array([*profile[: rim + 1], [0.0, 0.0]])
+        # Bars reach a little into the bowls: faces that only touch might not join. They are cut
+        # from below their foot: between faces at one height, films would stay.
+        outer = np.array([*profile[: rim + 1], [profile[rim, 0], -1.0], [0.0, -1.0]])
         outer[1:-1, 0] -= 0.02
         for own, section in ((bodies, profile), (filled, outer)):
             own.append(to_manifold(revolve(section, tolerance_mm)).translate((x, y, 0.0)))

@@ -23,6 +23,7 @@ from phytac_design.fabrication.molds.audit import (
 from phytac_design.fabrication.molds.estimate import mold_volumes
 from phytac_design.fabrication.molds.make import MoldSet, make_molds, plan_molds, strips_of
 from phytac_design.fabrication.molds.plates import Cells
+from phytac_design.fabrication.molds.strip_files import strip_files
 from phytac_design.fabrication.molds.strip_layout import footprint
 from phytac_design.fabrication.switch_set import CupOutline, SwitchSet
 from phytac_design.fabrication.switch_strips import (
@@ -331,6 +332,21 @@ def test_a_strip_s_volume_is_its_solid_s() -> None:
     strip = strips.alike(1)[0]
     length = np.mean([np.hypot(*(strip.flat_mm[a] - strip.flat_mm[b])) for a, b in strip.bridges])
     assert section * (length - 4.6) < web < section * (length - 4.6 + 0.6)
+
+
+def test_a_strip_has_no_films_at_its_foot() -> None:
+    """Faces of no thickness would lie under the bowls' cavities, where STL files are not closed."""
+    sensor, _, strips = planned()
+    for number in strips.numbers:
+        corner = strip_mesh(strips, number).corners_mm
+        up = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2]
+        foot = np.abs(corner[:, :, 2]).max(axis=1) < 1e-6
+        assert foot.any()
+        assert up[foot].max() <= 0.0
+    assert set(strip_files(sensor, strips)) == {
+        *(f"mold/strip_S{number}.stl" for number in strips.numbers),
+        "mold/strips.csv",
+    }
 
 
 def test_effort_counts_strips_and_uses_their_times() -> None:

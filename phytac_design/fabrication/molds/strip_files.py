@@ -5,16 +5,17 @@ from typing import Any
 from phytac_design.fabrication.bill import csv_text
 from phytac_design.fabrication.switch_strips import StripSet, strip_label, strip_mesh
 from phytac_design.layout.sensor import Sensor
-from phytac_design.solids.mesh_export import stl_bytes
+from phytac_design.solids.mesh_export import check_solid, stl_bytes
 
 
 def strip_files(sensor: Sensor, strips: StripSet) -> dict[str, bytes]:
     """``mold/strip_S*.stl``, as cast and not shrunk, and ``mold/strips.csv``."""
-    out = {
-        f"mold/strip_{strip_label(number)}.stl": stl_bytes(strip_mesh(strips, number))
-        for number in strips.numbers
-        if strips.alike(number)[0].count > 1
-    }
+    out = {}
+    for number in strips.numbers:
+        if strips.alike(number)[0].count > 1:
+            file, mesh = f"mold/strip_{strip_label(number)}.stl", strip_mesh(strips, number)
+            check_solid(mesh, file)
+            out[file] = stl_bytes(mesh)
     markers, rows = sensor.markers, []
     for piece, strip in enumerate(strips.strips, start=1):
         for marker, (x, y) in zip(strip.markers.tolist(), strip.flat_mm, strict=True):
