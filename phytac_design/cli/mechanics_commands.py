@@ -16,7 +16,7 @@ AtOption = Annotated[
     str,
     typer.Option(
         help="Marker number, or chart position u,v; the middle if not given. Around the axis of a "
-        "closed shape it is an angle in radians."
+        "closed shape v is an angle in radians, on a cuboid a length in mm."
     ),
 ]
 RadiusOption = Annotated[

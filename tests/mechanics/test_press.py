@@ -21,8 +21,9 @@ from phytac_design.mechanics.pressing.contact_patch import (
 )
 from phytac_design.mechanics.pressing.press import Press, bending_strain, press, write_press
 from phytac_design.mechanics.pressing.press_report import press_dict, press_text, press_warnings
-from phytac_shapes.errors import NumericalError
+from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import small
+from tests.fabrication.cases import built, family_design
 from tests.refusals import refused
 
 DESIGN = small()
@@ -76,6 +77,15 @@ def test_place_is_a_marker_a_position_or_the_middle() -> None:
 def test_words_that_make_no_press_are_refused(words: dict[str, Any], code: str) -> None:
     with refused(code):
         parse_contact_patch(Sensor.of(DESIGN, SURFACE, MARKERS), **{"force_N": 1.0} | words)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"), [("cylinder", "an angle in radians"), ("cuboid", "a length .* in mm")]
+)
+def test_a_place_too_far_around_is_refused_with_the_unit_of_its_chart(name: str, unit: str) -> None:
+    sensor = Sensor.of(*built(family_design(name)))
+    with pytest.raises(DesignError, match=unit):
+        parse_contact_patch(sensor, force_N=1.0, at="30,1000")
 
 
 def test_linear_motion_grows_with_the_force_and_peaks_under_it() -> None:

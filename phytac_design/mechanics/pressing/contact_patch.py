@@ -105,10 +105,11 @@ def _position(surface: Surface, markers: Markers, at: str) -> FloatArray:
     ):
         turns = 2.0 * (high - low)
         if closed and not low - turns <= value <= high + turns:
+            angle = np.isclose(high - low, 2.0 * np.pi)
             raise DesignError(
                 "contact-off-surface",
-                f"{name} = {value:g} is more than two turns beyond {low:g} to {high:g}; it is an "
-                "angle in radians",
+                f"{name} = {value:g} is more than two turns beyond {low:g} to {high:g}; it is "
+                + ("an angle in radians" if angle else "a length around the surface in mm"),
             )
         if not closed and not low <= value <= high:
             raise DesignError(
