@@ -30,6 +30,12 @@ def add(context: Context, folder: Path) -> None:
     write_facts(folder, {"number": 1 + sum(numbers)})
 
 
+def leave_out(context: Context, folder: Path) -> None:
+    """Make nothing, and say why."""
+    context.progress("a: left out (no room)")
+    write_facts(folder, {"a_left_out": "no room"})
+
+
 def fail(context: Context, folder: Path) -> None:
     """Fail, but not at once."""
     (folder / "half.txt").write_text("half")

@@ -21,7 +21,7 @@ from phytac_design.engine.stage import Context, Stage
 from phytac_design.stages.build import run_stages
 from tests.designs import COARSE, tiny
 from tests.refusals import refused
-from tests.stage_works import add, die, fail, fail_at_once, graph, meet, refusal, wait
+from tests.stage_works import add, die, fail, fail_at_once, graph, leave_out, meet, refusal, wait
 
 
 @pytest.fixture(autouse=True)
@@ -69,6 +69,16 @@ def test_results_do_not_depend_on_the_workers(workers: int, root: Path) -> None:
     assert sorted(line.split()[1] for line in lines) == sorted("abcd" * 2)
     assert run(DIAMOND, workers)[1] == []
     assert not left_over(root)
+
+
+def test_what_is_left_out_is_said_again_from_the_cache() -> None:
+    first: list[str] = []
+    again: list[str] = []
+    stages = graph(a=(leave_out, ""), b=(add, ""))
+    assert run(stages, 1, progress=first.append)[1] == ["a", "b"]
+    assert run(stages, 1, progress=again.append)[1] == []
+    assert "a: left out (no room)" in first
+    assert again == ["a: left out (no room)"]
 
 
 def test_ready_stages_run_at_the_same_time_in_other_processes() -> None:

@@ -1,5 +1,6 @@
 """Stages brought into the cache: one after the other, or side by side in worker processes."""
 
+import json
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -262,6 +263,9 @@ class StageRun:
         self.timing_s[stage.name] = float(cache.record(folder)["seconds"])
         if ran:
             self._report(f"{stage.name} {self.timing_s[stage.name]:.1f} s", counted=True)
+        elif why := _left_out(stage.name, folder):
+            # As the stage itself reports when it runs.
+            self.context.progress(f"{stage.name}: left out ({why})")
         reason = stage.gate(self.context) if stage.gate and not self.force else ""
         if reason:
             raise GateError(
@@ -331,3 +335,11 @@ class StageRun:
             clock = max(clock, ends.pop(name))
             ended.add(name)
         return clock
+
+
+def _left_out(stage: str, folder: Path) -> str:
+    """Why a stage left out what it makes, "" where it did not."""
+    facts = folder / "facts.json"
+    if not facts.is_file():
+        return ""
+    return str(json.loads(facts.read_text(encoding="utf-8")).get(f"{stage}_left_out", ""))

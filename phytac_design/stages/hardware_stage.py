@@ -42,19 +42,17 @@ def run(context: Context, folder: Path) -> None:
     """
     if reason := refusal(context):
         why = f"without its switches the sensor's holes are open ({reason})"
-        context.progress(f"hardware: left out ({why})")
-        write_facts(folder, {"hardware_left_out": why, "parts": []})
+        _left_out(context, folder, why)
         return
     try:
         kit, solids, facts = _checked(context)
     except DesignError as error:
         if context.design.hardware != HardwareSection():
             raise
-        context.progress(f"hardware: left out ({error})")
-        write_facts(folder, {"hardware_left_out": str(error), "parts": []})
+        _left_out(context, folder, str(error))
         return
     if not kit.parts:
-        write_facts(folder, {"hardware_left_out": kit.left_out["hardware"], "parts": []})
+        _left_out(context, folder, kit.left_out["hardware"])
         return
     # Both kernels must agree before the first file is written.
     try:
@@ -71,6 +69,11 @@ def run(context: Context, folder: Path) -> None:
     if shapes:
         facts["step"] = _write_step(context, kit, shapes, folder)
     write_facts(folder, facts)
+
+
+def _left_out(context: Context, folder: Path, why: str) -> None:
+    context.progress(f"hardware: left out ({why})")
+    write_facts(folder, {"hardware_left_out": why, "parts": []})
 
 
 def _checked(context: Context) -> tuple[HardwareAssembly, dict[str, Any], dict[str, Any]]:
