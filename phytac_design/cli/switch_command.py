@@ -7,6 +7,7 @@ import typer
 
 from phytac_design.cli.options import JsonOption, say
 from phytac_design.cli.output import print_json
+from phytac_shapes.errors import DesignError, InputError
 
 if TYPE_CHECKING:
     from phytac_design.design.spec import Design
@@ -78,12 +79,12 @@ def switch(
     )
     from phytac_design.mechanics.switch.switch_report import (
         curve_plot,
+        release_notes,
         switch_dict,
         switch_text,
         warnings,
     )
     from phytac_design.mechanics.switch.switch_space import Tolerance
-    from phytac_shapes.errors import InputError
 
     if plot:
         check_svg(plot)
@@ -123,7 +124,7 @@ def switch(
     )
     if plot:
         say(f"wrote {write_svg(plot, curve_plot(made))}")
-    minded = warnings(made)
+    minded = warnings(made) + release_notes(made, own)
     others = sorted({region.threshold_N for region in own.regions} - {made.threshold_N})
     if threshold is None and others:
         more = ", ".join(f"{other:g}" for other in others)
@@ -159,7 +160,6 @@ def _compare(
     from phytac_design.mechanics.switch.line_plot import write_svg
     from phytac_design.mechanics.switch.switch_families import FAMILIES, compare_families
     from phytac_design.optics.tip_travel import tip_travel_on_mm
-    from phytac_shapes.errors import DesignError, InputError
 
     chosen = [name for name in FAMILIES if family in {name, "auto", "best"}]
     if not chosen:
@@ -173,6 +173,8 @@ def _compare(
             "--molds writes switches of one threshold, and the design has regions with others; "
             "take [[switch.regions]] out of a copy of the design",
         )
+    if molds and chosen == ["bowl"]:
+        raise _molds_of_bowl()
     sensor = Sensor(loaded)
     found = compare_families(
         threshold_N,
@@ -194,8 +196,6 @@ def _compare(
         )
     if plot:
         say(f"wrote {write_svg(plot, candidate_plot(best))}")
-    if molds:
-        _write_molds(molds, sensor, best)
     if as_json:
         print_json(
             {
@@ -206,8 +206,18 @@ def _compare(
                 "candidates": [candidate_dict(one) for one in found],
             }
         )
-        return
-    typer.echo(candidates_text(found, threshold_N=threshold_N))
+    else:
+        typer.echo(candidates_text(found, threshold_N=threshold_N))
+    if molds:
+        _write_molds(molds, sensor, best)
+
+
+def _molds_of_bowl() -> InputError:
+    return InputError(
+        "switch-molds-of-bowl",
+        "--molds writes molds of a membrane or plunger, and the recommended switch is a bowl: "
+        "phytac build --only mold writes its molds; or give --family plunger",
+    )
 
 
 def _write_molds(folder: Path, sensor: "Sensor", best: "FamilyCandidate") -> None:
@@ -219,15 +229,10 @@ def _write_molds(folder: Path, sensor: "Sensor", best: "FamilyCandidate") -> Non
     from phytac_design.fabrication.molds.rules import rule_rows
     from phytac_design.fabrication.switch_set import CupOutline, arrange_switches
     from phytac_design.mechanics.switch.cup_design import CupDesign
-    from phytac_shapes.errors import InputError
 
     made, design = best.design, sensor.design
     if not isinstance(made, CupDesign):
-        raise InputError(
-            "switch-molds-of-bowl",
-            "the recommended switch is a bowl: phytac build --only mold writes its molds; or give "
-            "--family plunger",
-        )
+        raise _molds_of_bowl()
     outline = CupOutline(
         cup=made.cup, stop_mm=made.stop_mm, stem_diameter_mm=made.space.stem_diameter_mm
     )

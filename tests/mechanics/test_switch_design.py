@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from phytac_design.cli.switch_command import switch
 from phytac_design.design.design_file import to_toml
+from phytac_design.design.switch_table import SwitchSection
 from phytac_design.mechanics.switch import bowl_check
 from phytac_design.mechanics.switch import design as inverse
 from phytac_design.mechanics.switch.bowl import Bowl
@@ -23,7 +24,7 @@ from phytac_design.mechanics.switch.hyperelastic import Ogden, Yeoh, neo_hookean
 from phytac_design.mechanics.switch.material_fit import fit_uniaxial, uniaxial_stress
 from phytac_design.mechanics.switch.rubbers import rubber
 from phytac_design.mechanics.switch.switch_inputs import space_of
-from phytac_design.mechanics.switch.switch_report import curve_plot
+from phytac_design.mechanics.switch.switch_report import curve_plot, release_notes
 from phytac_design.mechanics.switch.switch_space import SwitchSpace, Tolerance
 from phytac_design.mechanics.switch.tolerance import limit_load, threshold_spread
 from phytac_shapes.errors import DesignError, OutputError
@@ -245,6 +246,16 @@ def test_plot_is_svg(made: SwitchDesign) -> None:
     assert curve_plot(made) == text
 
 
+def test_a_release_that_the_design_assumes_wrongly_is_noted(made: SwitchDesign) -> None:
+    valley = made.snap.valley_N
+    assert release_notes(made, SwitchSection(release_N=valley + 0.02)) == []
+    (note,) = release_notes(made, SwitchSection(release_N=valley + 0.1))
+    assert note.endswith(f"set switch.release_N = {valley:.2g}")
+    # The table's release belongs to the table's threshold.
+    twice = SwitchSection(threshold_N=1.0, release_N=2.0 * valley)
+    assert release_notes(made, twice) == []
+
+
 @pytest.mark.usefixtures("coarse_switches")
 def test_command(made: SwitchDesign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     app = typer.Typer()
@@ -259,11 +270,13 @@ def test_command(made: SwitchDesign, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert facts["limit_N"] == pytest.approx(0.4, rel=0.01)
     assert max(facts["curve"]["force_N"]) >= facts["limit_N"] - 1e-4
     assert any("assumed" in text for text in facts["warnings"])
-    path.write_text(to_toml(small(switch={"regions": [{"threshold_N": 0.7, "rows": [0, 1]}]})))
+    table = {"regions": [{"threshold_N": 0.7, "rows": [0, 1]}], "release_N": 0.1}
+    path.write_text(to_toml(small(switch=table)))
     # The design's own threshold is that of the bowl made before.
     monkeypatch.setattr(inverse, "design_switch", lambda own, *_: {0.5: made}[own])
     out = runner.invoke(app, [str(path)])
     assert "regions with 0.7 N" in out.stderr
+    assert "set switch.release_N = " in out.stderr
     monkeypatch.undo()
     assert (tmp_path / "c.svg").read_text().startswith("<svg")
     late = runner.invoke(app, [str(path), "--plot", str(tmp_path / "c.png")])

@@ -18,7 +18,7 @@ from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.mold_files import MoldFiles
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout.sensor import Sensor
-from phytac_design.mechanics.switch import cup_design, switch_families
+from phytac_design.mechanics.switch import cup_design, family_report, switch_families
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.cup_design import CupDesign, cup_spread, design_cup
 from phytac_design.mechanics.switch.cup_press import press_cup
@@ -309,3 +309,28 @@ def test_command_compares(made: CupDesign, monkeypatch: pytest.MonkeyPatch, tmp_
     assert getattr(bare.exception, "code", "") == "switch-molds-without-family"
     wrong = CliRunner().invoke(app, [*words[:2], "spring"])
     assert getattr(wrong.exception, "code", "") == "switch-family-unknown"
+
+
+@pytest.mark.parametrize(("family", "compared"), [("auto", 1), ("bowl", 0)])
+def test_molds_of_a_bowl_are_refused_after_the_comparison_or_before_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, family: str, compared: int
+) -> None:
+    """A comparison takes minutes: its table is printed, and not made for bowls alone."""
+    bowl = SimpleNamespace(design=object(), family="bowl", rubber=SimpleNamespace(name="tpu-8400n"))
+    calls: list[object] = []
+
+    def compare(*_: object, **__: object) -> list[SimpleNamespace]:
+        calls.append(bowl)
+        return [bowl]
+
+    monkeypatch.setattr(switch_families, "compare_families", compare)
+    monkeypatch.setattr(family_report, "candidates_text", lambda *_, **__: "the table")
+    monkeypatch.setattr(tip_travel, "tip_travel_on_mm", lambda _: np.array([TRAVEL_mm]))
+    app = typer.Typer()
+    app.command()(switch)
+    words = ["cylinder60", "--family", family, "--molds", str(tmp_path / "out")]
+    run = CliRunner().invoke(app, words)
+    assert getattr(run.exception, "code", "") == "switch-molds-of-bowl"
+    assert len(calls) == compared
+    assert ("the table" in run.stdout) == bool(compared)
+    assert not (tmp_path / "out").exists()

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from phytac_design.design.switch_table import SwitchSection
 from phytac_design.mechanics.switch.design import SwitchDesign
 from phytac_design.mechanics.switch.line_plot import line_plot
 from phytac_design.mechanics.switch.rubbers import Rubber
@@ -65,6 +66,20 @@ def warnings(made: SwitchDesign) -> list[str]:
             "itself"
         )
     return out
+
+
+def release_notes(made: SwitchDesign, table: SwitchSection) -> list[str]:
+    """Note where the bowl does not release at the force that the design assumes."""
+    near = 0.05  # differences over the threshold that change nothing
+    ratio = made.threshold_N / table.threshold_N
+    found, assumed = max(made.snap.valley_N, 0.0), ratio * table.release_N
+    if abs(found - assumed) <= near * made.threshold_N:
+        return []
+    note = (
+        f"the bowl releases below {found:.3g} N, the design assumes {assumed:.3g} N: set "
+        f"switch.release_N = {found / ratio:.2g}"
+    )
+    return [note]
 
 
 def switch_text(made: SwitchDesign) -> str:
