@@ -40,11 +40,15 @@ class Results:
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.ok), 0))
 
     def front(self) -> BoolArray:
-        """Rows (n,) on the Pareto front of the feasible ones."""
+        """Rows (n,) on the Pareto front of the feasible ones, each design once."""
         values, out = self.objectives(), np.zeros(len(self.ok), dtype=np.bool_)
         feasible = np.flatnonzero(self.ok & np.isfinite(values).all(axis=1))
         if values.shape[1] and len(feasible):
-            out[feasible] = front(values[feasible])
+            first: dict[tuple[Any, ...], int] = {}
+            for row in feasible[front(values[feasible])].tolist():
+                design = tuple(self.columns[name][row] for name in self.variables)
+                first.setdefault(design, row)  # optimisers propose some designs again
+            out[list(first.values())] = True
         return out
 
     def shares(self, name: str) -> FloatArray:

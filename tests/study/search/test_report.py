@@ -32,6 +32,17 @@ def test_importance_is_the_share_of_variance() -> None:
     assert importance(np.ones(100), a[:100]) == 0.0
 
 
+def test_the_front_has_each_design_once() -> None:
+    """Trials 0, 1 and 3 are one design; trial 2 is another with equal objectives."""
+    study = tiny(objective=[{"measure": "marker_count", "goal": "min"}])
+    names = tuple(variable.field for variable in study.variable)
+    columns: dict[str, object] = {name: np.array([1.0, 1.0, 2.0, 1.0, 1.0]) for name in names}
+    columns["marker_count"] = np.array([8.0, 8.0, 8.0, 8.0, 9.0])
+    columns["status"] = ["ok"] * 5
+    results = Results(study=study, variables=names, columns=columns)
+    assert np.flatnonzero(results.front()).tolist() == [0, 2]
+
+
 FEW = [{"measure": "marker_count", "max": 120}]
 
 
