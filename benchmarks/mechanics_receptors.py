@@ -144,7 +144,7 @@ def whole_prototype(table: Table) -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     uv, radius = markers.uv[184], 6.0
-    factor, sizes, _ = coarsened(Sensor.of(design, surface, markers), None)
+    factor, sizes, _ = coarsened(Sensor.of(design, surface, markers), 2.0)
     start = time.perf_counter()
     truth = solid_tips(design, surface, markers, [("", uv, radius)], sizes)[0]
     seconds = time.perf_counter() - start

@@ -4,6 +4,7 @@ import shutil
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
@@ -14,11 +15,14 @@ from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import chart_mesh
+from phytac_design.mechanics.pressing.contact_patch import ContactPatch
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_design.mechanics.solid import mesh_files
 from phytac_design.mechanics.solid import solid_writers as solid_export
 from phytac_design.mechanics.solid import tetrahedra as solid_tets
 from phytac_design.mechanics.solid.load import solid_patch_load
+from phytac_design.mechanics.solid.mesh_files import write_solid_files
 from phytac_design.mechanics.solid.solid_mesh_tets import (
     SETTINGS,
     SolidMesh,
@@ -39,7 +43,7 @@ from verification.tip_motion import tip_means
 SIZES = SolidSizes(wall_mm=1.5, foot_mm=1.1, tube_mm=1.5, contact_mm=1.1)
 GEOMETRY_TOL = 2e-3
 """Quadratic edges on circles of this mesh: area and volume."""
-NODES_TOL = 0.35
+NODES_TOL = 0.27
 """Expected nodes: they decide between minutes and hours, not more."""
 REACH = 2.2
 """mm around the middle of a contact that its motion is fitted in."""
@@ -63,12 +67,15 @@ def sensor() -> SmallSensor:
     return make_sensor(diameter=24.0, length=14.0, rows=2, columns=6)
 
 
-def make_sensor(*, diameter: float, length: float, rows: int, columns: int) -> SmallSensor:
+def make_sensor(
+    *, diameter: float, length: float, rows: int, columns: int, wall: float = 0.8
+) -> SmallSensor:
     pytest.importorskip("gmsh", reason="gmsh is not installed")
     heights = {"height_near_mm": 1.0, "height_far_mm": 3.0}
     design = changed(
         shape={"diameter_outer_mm": diameter, "length_mm": length},
         layout={"rows": rows, "columns": columns, **heights},
+        wall={"thickness_mm": wall},
     )
     surface = design.surface()
     return SmallSensor(design=design, surface=surface, markers=make_markers(design, surface))
@@ -309,6 +316,41 @@ def test_expected_nodes_are_about_right_and_bounded(sensor: SmallSensor, mesh: S
     for wrong in (0.0, 2.1, np.nan):
         with refused("solid-size-factor"):
             coarsened(Sensor.of(*large), wrong)
+
+
+@pytest.mark.parametrize(
+    ("shape", "wall", "factor", "made"),
+    [
+        # diameter, length, rows, columns; nodes that Gmsh made
+        ((24.0, 14.0, 2, 6), 0.4, 1.5, 38674),
+        ((24.0, 14.0, 2, 6), 0.8, 1.0, 33563),
+        ((60.0, 30.0, 3, 16), 3.0, 1.5, 130884),
+        ((60.0, 50.0, 2, 4), 3.0, 1.0, 304911),
+        ((60.0, 30.0, 2, 6), 5.0, 2.0, 54640),
+        ((60.0, 30.0, 2, 6), 5.0, 1.0, 292928),
+    ],
+)
+def test_expected_nodes_hold_for_thin_and_thick_walls(
+    shape: tuple[float, float, int, int], wall: float, factor: float, made: int
+) -> None:
+    diameter, length, rows, columns = shape
+    case = make_sensor(diameter=diameter, length=length, rows=rows, columns=columns, wall=wall)
+    sensor = Sensor.of(case.design, case.surface, case.markers)
+    sizes = default_sizes(case.design).scaled(factor)
+    assert expected_nodes(sensor, sizes) == pytest.approx(made, rel=NODES_TOL)
+
+
+def test_a_mesh_of_too_many_nodes_is_refused_before_it_is_written(
+    sensor: SmallSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Expected nodes may be too few."""
+    large = SimpleNamespace(nodes_mm=np.zeros((SETTINGS.max_nodes + 1, 3)))
+    monkeypatch.setattr(mesh_files, "solid_mesh", lambda *_, **__: large)
+    parts = Sensor.of(sensor.design, sensor.surface, sensor.markers)
+    place = ContactPatch(uv=sensor.markers.uv[2], radius_mm=3.0, force_N=1.0)
+    with refused("solid-too-many-nodes"):
+        write_solid_files(tmp_path, parts, place)
+    assert not list(tmp_path.iterdir())
 
 
 def test_default_sizes_resolve_the_wall(sensor: SmallSensor) -> None:

@@ -14,7 +14,12 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.mesh_writers import write_inp, write_msh, write_vtu
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.mechanics.solid.load import solid_patch_load
-from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes, coarsened, solid_mesh
+from phytac_design.mechanics.solid.solid_mesh_tets import (
+    SolidSizes,
+    check_nodes,
+    coarsened,
+    solid_mesh,
+)
 from phytac_design.mechanics.solid.solid_writers import (
     write_solid_inp,
     write_solid_msh,
@@ -179,6 +184,7 @@ def write_solid_files(
     mesh = solid_mesh(
         sensor, sizes=sizes, contacts_uv=place.uv[None], contact_radius_mm=place.radius_mm
     )
+    check_nodes(len(mesh.nodes_mm), factor)
     progress(f"mesh: {len(mesh.nodes_mm)} nodes, writing")
     if "inp" in formats:
         write_solid_inp(
