@@ -1,6 +1,7 @@
 """Changes of light and focus since the rest frame: unknowns of every fit, and no force."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from phytac_decoder.pipeline import light_response
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
 from phytac_decoder.pipeline.light_response import LightSettings
+from phytac_decoder.vision import marker_edges
 from phytac_shapes.arrays import FloatArray, ImageArray
 from tests.decoder.test_calibrate_colours import plain_bundle, rms
 from tests.decoder.test_follow import REST, draw
@@ -28,6 +30,13 @@ def half_in_shade(frame: ImageArray) -> ImageArray:
 
 def with_gamma(frame: ImageArray, exponent: float) -> ImageArray:
     return np.rint(255.0 * (frame / 255.0) ** exponent).astype(np.uint8)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _centroids_alone() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(marker_edges, "SETTINGS", replace(marker_edges.SETTINGS, area_max_px=0.0))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -53,6 +53,7 @@ from phytac_decoder.io.sensor_limits import (
     symmetric_turns,
 )
 from phytac_decoder.mechanics.receptor_table import ReceptorTable
+from phytac_decoder.vision.marker_edges import MarkerEdges
 from phytac_decoder.vision.picture_quality import FocusCheck, LightCheck
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import ColourModel
@@ -137,6 +138,8 @@ class Bundle:
         How the focus of each camera's frames is measured; empty without a rest frame.
     light : tuple of LightCheck or None
         Levels of each camera's markers at rest; empty without a rest frame.
+    edges : tuple of MarkerEdges or None
+        Edges of each camera's markers at rest, where markers are small; empty without a rest frame.
     notes : dict
         Provenance: training data, seconds, accuracy. The decoder uses only ``scene``.
     """
@@ -165,6 +168,7 @@ class Bundle:
     other_print_mm: float = 0.0
     focus: tuple[FocusCheck | None, ...] = ()
     light: tuple[LightCheck | None, ...] = ()
+    edges: tuple[MarkerEdges | None, ...] = ()
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property

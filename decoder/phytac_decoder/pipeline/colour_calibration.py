@@ -15,6 +15,7 @@ from phytac_decoder.pipeline.decode import Frames, locate_in, prepared_frames
 from phytac_decoder.pipeline.light_response import with_light_response
 from phytac_decoder.pipeline.print_identity import for_this_print
 from phytac_decoder.pipeline.shell_turn import oriented
+from phytac_decoder.vision.marker_edges import MarkerEdges
 from phytac_decoder.vision.matching import areas_px
 from phytac_decoder.vision.picture_quality import FocusCheck, LightCheck
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
@@ -105,7 +106,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     frames = prepared_frames(bundle, rest_frames)
     lit = oriented(replace(bundle, colours=calibrated_colours(bundle, frames)), frames)
     shown, count, marks_px = [], len(bundle.colour), lit.marks.rest_px
-    weights, focus, light = [], [], []
+    weights, focus, light, edges = [], [], [], []
     for number, frame in enumerate(frames):
         old = lit.shown_by(number)
         matched, blobs = locate_in(lit, number, frame)
@@ -116,6 +117,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         focus.append(FocusCheck.at_rest(frame, matched.position_px[:count], area))
         own_px = np.where(np.isfinite(area)[:, None], matched.position_px[:count], np.nan)
         light.append(LightCheck.at_rest(frame, own_px))
+        edges.append(MarkerEdges.at_rest(frame, lit.colours, own_px, area))
         moved = np.where(
             matched.found[:, None], matched.position_px - lit.spots_shown_by(number), 0
         )
@@ -136,6 +138,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         shown=tuple(shown) if bundle.shown else (),
         focus=tuple(focus),
         light=tuple(light),
+        edges=tuple(edges),
         marks=replace(lit.marks, rest_px=marks_px),
         rest_px=read([item.rest_px for item in shown]),
         tips=TipModel(

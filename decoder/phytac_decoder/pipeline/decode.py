@@ -515,7 +515,8 @@ def measure_frame(
     matched, switch_on, half_out = _locate(bundle, images)
     rest = bundle.spot_rest_px if rest_px is None else rest_px
     position = np.where(matched.merged[:, None], np.nan, matched.position_px)
-    koi, shift, marked = corrected_shift(bundle, switch_on, position[: len(rest)] - rest)
+    moved = with_edges(bundle, images, position[: len(rest)] - rest, switch_on, half_out)
+    koi, shift, marked = corrected_shift(bundle, switch_on, moved)
     count = len(bundle.colour)
     return FrameMeasurement(
         koi=koi,
@@ -527,6 +528,40 @@ def measure_frame(
         blur_px=blurs_px(bundle, images, position[:count]),
         light=light_changes(bundle, images, position[:count], switch_on | half_out),
     )
+
+
+def with_edges(
+    bundle: Bundle,
+    images: Sequence[ImageArray],
+    moved_px: FloatArray,
+    switch_on: BoolArray,
+    half_out: BoolArray,
+) -> FloatArray:
+    """Shifts (n + r, 2) px since the rest frame: those of small markers by their edges too.
+
+    Parameters
+    ----------
+    images : sequence of (h, w, 3) uint8
+        One of each camera, of :func:`prepared_frames`.
+    moved_px : (n + r, 2) float
+        Shifts of the centroids of markers and reference marks.
+    switch_on, half_out : (n,) bool
+        Switches, and tips that are half out.
+    """
+    if not any(bundle.edges):
+        return moved_px
+    count = len(switch_on)
+    cover = bundle.tip_shift_px(switch_on)
+    # A doubtful switch may be off after all, and its tip then covers nothing.
+    sure = bundle.tips.readable | ~switch_on
+    out = moved_px.copy()
+    for number, (edges, image) in enumerate(zip(bundle.edges, images, strict=False)):
+        if edges:
+            own = sure & (bundle.read_by == number)
+            shift = np.where(own[:, None], moved_px[:count] - cover, np.nan)
+            better = edges.combined(image, shift, switch_on | half_out, switch_on)
+            out[:count][own] = (better + cover)[own]
+    return out
 
 
 def blurs_px(

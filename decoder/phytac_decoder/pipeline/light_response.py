@@ -14,7 +14,13 @@ import cv2
 import numpy as np
 
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.pipeline.decode import Frames, locate_markers, one_frame_per_camera
+from phytac_decoder.pipeline.decode import (
+    Frames,
+    locate_markers,
+    one_frame_per_camera,
+    prepared_frames,
+    with_edges,
+)
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 
@@ -76,16 +82,20 @@ def with_light_response(bundle: Bundle, rest_frames: Frames) -> Bundle:
     )
     frames = one_frame_per_camera(bundle, rest_frames)
     still = locate_markers(bundle, frames)[0].position_px
+    off = np.zeros(len(bundle.colour), dtype=np.bool_)
     rows: list[FloatArray] = []
     sds: list[float] = []
     for disturb, size, sd in disturbances:
+        disturbed = [disturb(frame) for frame in frames]
         try:
-            matched = locate_markers(bundle, [disturb(frame) for frame in frames]).matched
+            matched = locate_markers(bundle, disturbed).matched
         except InputError:
             # So small or weak markers are not found after such a change in use either.
             continue
         # Reference marks follow the markers.
-        shift = (matched.position_px - still)[: len(bundle.colour)]
+        shift = matched.position_px - still
+        images = prepared_frames(bundle, disturbed)
+        shift = with_edges(bundle, images, shift, off, off)[: len(off)]
         sound = ~matched.merged[: len(shift)] & (np.hypot(*shift.T) < SETTINGS.shift_max_px)
         for camera in range(len(frames)):
             for paint in np.unique(bundle.colour):

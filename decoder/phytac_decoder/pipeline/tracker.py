@@ -23,6 +23,7 @@ from phytac_decoder.pipeline.decode import (
     light_changes,
     locate_in,
     prepared_frames,
+    with_edges,
 )
 from phytac_decoder.vision.matching import nearest_same_colour_px, neighbour_median
 from phytac_decoder.vision.segmentation import (
@@ -200,7 +201,8 @@ class Follower:
         count = len(bundle.colour)
         switch_on = self._read([item.switch_on for item in seen])[:count]
         half_out = self._read([item.half_out for item in seen])[:count]
-        koi, shift, marked = corrected_shift(bundle, switch_on, position - self.rest_px)
+        moved = with_edges(bundle, given, position - self.rest_px, switch_on, half_out)
+        koi, shift, marked = corrected_shift(bundle, switch_on, moved)
         return Followed(
             koi=koi,
             shift_px=shift,

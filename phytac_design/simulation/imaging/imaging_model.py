@@ -15,6 +15,7 @@ from phytac_decoder.pipeline.decode import (
     locate_in,
     locate_markers,
     prepared_frames,
+    with_edges,
 )
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
@@ -261,10 +262,12 @@ class ImagingModel:
         rest = self.at_rest
         bundle = rest.bundle
         try:
-            matched, bits, _ = locate_markers(bundle, frames)
+            matched, bits, half_out = locate_markers(bundle, frames)
         except InputError as error:
             return MarkerReading.nothing(self.count, str(error))
+        images = prepared_frames(bundle, frames)
         moved = matched.position_px - rest.rest_px
+        moved = with_edges(bundle, images, moved, bits, half_out)
         if self.confirm:
             bits = confirmed_switches(bundle, bits, moved - bundle.tip_shift_px(bits))
         shift = moved - bundle.tip_shift_px(bits)
