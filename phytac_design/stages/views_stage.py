@@ -55,7 +55,7 @@ def _noise(sensor: Sensor, shot: Shot, rng: np.random.Generator) -> tuple[FloatA
     return predict_noise(
         shot.rest,
         shot.camera,
-        lambda frame: shot.positions(sensor, frame),
+        shot.read(sensor),
         clean=shot.frames[0],
         point_mm=np.where(shot.seen.lost[:, None], sensor.markers.tip_mm, shot.seen.paint_point_mm),
         neighbours=sensor.markers.neighbours,

@@ -1,6 +1,6 @@
 """What the decoder expects to see of a sensor as designed, without forces."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, CameraView
+from phytac_decoder.vision.marker_edges import MarkerEdges
 from phytac_decoder.vision.matching import Matched, match_markers
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import Blobs, ColourModel, segment
@@ -169,6 +170,22 @@ class Shot:
         expected_px = np.concatenate([self.expected.rest_px, self.expected.marks_px])
         prepared = colour_model(sensor.design)[0].prepared(frame)
         return matched(sensor, prepared, expected_px).position_px[: sensor.markers.count]
+
+    def read(self, sensor: Sensor) -> Callable[[ImageArray], FloatArray]:
+        """Positions (n, 2) px of the markers in a frame with all switches off, as they are decoded.
+
+        Those of small markers by their edges too, against the frame at rest.
+        """
+        rest_px = self.positions(sensor, self.frames[0])
+        model, off = colour_model(sensor.design)[0], np.zeros(sensor.markers.count, dtype=np.bool_)
+        area_px = self.seen.visible_px.astype(np.float64)
+        edges = MarkerEdges.at_rest(self.frames[0], model, rest_px, area_px)
+
+        def positions(frame: ImageArray) -> FloatArray:
+            found = self.positions(sensor, frame)
+            return rest_px + edges.combined(frame, found - rest_px, off, off) if edges else found
+
+        return positions
 
 
 def look(
