@@ -47,9 +47,9 @@ def fit_correction(
 ) -> ForceCorrection:
     """Fit a correction to c contacts: estimated places, forces, signals and spread, true forces.
 
-    The spread is set so that 90 % of the true forces lie within the central 90 % interval. Its
-    residuals leave out each contact with those of its ``block`` (c,), the frames of one press.
-    Contacts are weighted by the spread.
+    The spread is set so that 90 % of the true forces lie within the central 90 % interval, or more
+    where that of the fit itself is wider. Its residuals leave out each contact with those of its
+    ``block`` (c,), the frames of one press. Contacts are weighted by the spread.
 
     Parameters
     ----------
@@ -74,7 +74,8 @@ def fit_correction(
         plain,
         centre=own,
         weight=size**2 * weight,
-        spread=spread,
+        # Never less than the fit states: data hold no camera that moves, nor contacts elsewhere.
+        spread=max(spread, 1.0),
         spread_share=share,
         lengths=lengths,
     )

@@ -59,6 +59,20 @@ def test_a_spread_is_that_of_presses_not_of_frames(known: bool) -> None:
     assert got > 0.07 if known else got < 0.03
 
 
+def test_intervals_are_no_narrower_than_the_fit_states() -> None:
+    rng = np.random.default_rng(6)
+    force = rng.uniform(2.0, 20.0, 60)
+    learnt = fit_correction(
+        ForceCorrection.plain(low_mm=np.zeros(3), size_mm=100.0, force_max_N=20.0),
+        point_mm=rng.uniform(0.0, 100.0, (60, 3)),
+        force_N=force,
+        signal_px=np.ones(60),
+        sd_N=0.05 * force,
+        truth_N=force * np.exp(0.005 * rng.normal(size=60)),
+    )
+    assert learnt.spread_N(np.array([10.0]), np.array([0.5]))[0] == pytest.approx(0.5, rel=0.02)
+
+
 def test_contacts_of_one_frame_are_no_frames_of_one_press() -> None:
     samples = pressed(12, seed=5)
     assert samples.touches is not None
