@@ -72,6 +72,16 @@ def test_shifts_below_a_pixel_are_not_drawn_to_whole_ones(shift: float) -> None:
     assert (seen == 1.0).all()
 
 
+def test_edges_out_of_focus_move_as_far(plain: Bundle) -> None:
+    (edges,) = plain.edges
+    assert edges is not None
+    moved = np.tile([0.3, -0.2], (COUNT, 1))
+    frame = cv2.GaussianBlur(draw(REST + moved, seed=1), (0, 0), 0.8)
+    found, _ = edges._aligned(frame, np.arange(COUNT), moved, OFF)
+    # By the sharp edges of the rest frame they would seem to move by a sixth less.
+    assert np.sum(found * moved) / np.sum(moved**2) == pytest.approx(1.0, abs=0.08)
+
+
 def test_red_tips_do_not_move_edges(plain: Bundle) -> None:
     """A tip covers paint: the centroid moves by a pixel, of which the design knows nothing here."""
     bits = OFF.copy()

@@ -116,8 +116,11 @@ class MarkerEdges:
     slope, motion : (m, k, 2) float32
         Its gradient, by which pixels are weighted, and by which it changes as the marker moves,
         grey levels per px.
-    bend : float
-        Third order of its change over the first, per px².
+    blur : (m, k) float32
+        Change of luminance per px² of a Gaussian blur, grey levels.
+    bend, soft : float
+        Third order of its change over the first, per px², and by how much the first is less, per
+        px² of blur.
     colours : ColourModel
         Paints: a red tip's pixels do not count.
     """
@@ -130,7 +133,9 @@ class MarkerEdges:
     weight: Floats32
     slope: Floats32
     motion: Floats32
+    blur: Floats32
     bend: float
+    soft: float
     colours: ColourModel
 
     @classmethod
@@ -182,10 +187,13 @@ class MarkerEdges:
         clear = SETTINGS.noise * np.sqrt(variance) <= SETTINGS.noise_max_px
         if not clear.any():
             return None
-        second = [
-            _gradient(np.ascontiguousarray(slope[:, :, k]))[pixel[1], pixel[0]] for k in (0, 1)
-        ]
-        curved = sum(float(np.sum(weight[:, :, None] * each**2)) for each in second)
+        second = [_gradient(np.ascontiguousarray(slope[:, :, k])) for k in (0, 1)]
+        blur = 0.5 * (second[0][:, :, 0] + second[1][:, :, 1])
+        total = max(float(np.sum(weighted * motions)), 1e-9)
+        curved = sum(
+            float(np.sum(weight[:, :, None] * each[pixel[1], pixel[0]] ** 2)) for each in second
+        )
+        softer = float(np.sum(weighted * _gradient(blur)[pixel[1], pixel[0]]))
         ids = shown[alone]
         offset = np.where(weight > 0.0, np.abs(pixel - place_px[ids].T[:, :, None]), 0.0)
         return cls(
@@ -197,8 +205,10 @@ class MarkerEdges:
             weight=weight[clear],
             slope=slopes[clear],
             motion=motions[clear],
+            blur=blur[pixel[1], pixel[0]][clear],
             # The third order of an edge's luminance; of a round marker 3/4 of it count.
-            bend=0.125 * curved / max(float(np.sum(weighted * slopes)), 1e-9),
+            bend=0.125 * curved / total,
+            soft=-softer / total,
             colours=colours,
         )
 
@@ -284,9 +294,16 @@ class MarkerEdges:
         # Levels that do not change with the motion say how light has changed.
         flat = np.where(weight > 0.0, 1.0 / (1.0 + np.sum(slope**2, axis=2)), 0.0)
         change = _in_the_light_of(self.level[rows], level[y, x], flat) - self.level[rows]
+        # Less focus than at rest, of all edges alike, is one unknown of the frame, px².
+        blur, known = self.blur[rows], weight > 0.0
+        added = float(np.sum(change[known] * blur[known])) / max(
+            float(np.sum(blur[known] ** 2)), 1e-9
+        )
+        change -= added * blur
         weighted = slope * weight[:, :, None]
         pull = np.einsum("mki,mk->mi", weighted, change, dtype=np.float64)
         step = -np.einsum("mij,mj->mi", _per_pull(weighted, self.motion[rows]), pull)
+        step *= 1.0 + self.soft * max(added, 0.0)
         step = np.clip(step, -SETTINGS.step_far_px, SETTINGS.step_far_px)
         # The change of luminance is less than in proportion to the shift.
         step *= 1.0 + self.bend * np.sum(step**2, axis=1, keepdims=True)
