@@ -12,6 +12,8 @@ tables of the decoder describe: where other receptors hide paint, or where a rec
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -285,30 +287,50 @@ class MarkerEdges:
     ) -> tuple[FloatArray, FloatArray]:
         """How far (m, 2) px edges are from shifts by whole pixels, and the share (m,) seen."""
         height, width = level.shape
-        x, y = (self.pixel[:, rows] + whole_px.T[:, :, None]).astype(np.int64)
+        x, y = (self._of(self.pixel, rows, axis=1) + whole_px.T[:, :, None]).astype(np.int64)
         x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
-        weight, slope = self.weight[rows], self.slope[rows]
-        full = weight.sum(axis=1)
+        weighted, flat, blur, per_pull = (self._of(each, rows) for each in self._fixed)
+        seen = np.ones(len(rows))
         if reddened.any():
-            weight[reddened] *= ~self._red_near(frame, x[reddened], y[reddened])
-        # Levels that do not change with the motion say how light has changed.
-        flat = np.where(weight > 0.0, 1.0 / (1.0 + np.sum(slope**2, axis=2)), 0.0)
-        change = _in_the_light_of(self.level[rows], level[y, x], flat) - self.level[rows]
+            some = np.flatnonzero(reddened)
+            bare = (~self._red_near(frame, x[some], y[some])).astype(np.float32)
+            weighted, flat, blur, per_pull = (
+                each.copy() for each in (weighted, flat, blur, per_pull)
+            )
+            weighted[some] *= bare[:, :, None]
+            flat[some] *= bare
+            blur[some] *= bare
+            per_pull[some] = _per_pull(weighted[some], self.motion[rows[some]])
+            weight = self.weight[rows[some]]
+            seen[some] = (weight * bare).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
+        rest = self._of(self.level, rows)
+        change = _in_the_light_of(rest, level.ravel()[y * width + x], flat) - rest
         # Less focus than at rest, of all edges alike, is one unknown of the frame, px².
-        blur, known = self.blur[rows], weight > 0.0
-        added = float(np.sum(change[known] * blur[known])) / max(
-            float(np.sum(blur[known] ** 2)), 1e-9
-        )
+        added = float(np.vdot(change, blur)) / max(float(np.vdot(blur, blur)), 1e-9)
         change -= added * blur
-        weighted = slope * weight[:, :, None]
-        pull = np.einsum("mki,mk->mi", weighted, change, dtype=np.float64)
-        step = -np.einsum("mij,mj->mi", _per_pull(weighted, self.motion[rows]), pull)
+        pull = np.einsum("mki,mk->mi", weighted, change)
+        step = -np.einsum("mij,mj->mi", per_pull, pull.astype(np.float64))
         step *= 1.0 + self.soft * max(added, 0.0)
         step = np.clip(step, -SETTINGS.step_far_px, SETTINGS.step_far_px)
         # The change of luminance is less than in proportion to the shift.
         step *= 1.0 + self.bend * np.sum(step**2, axis=1, keepdims=True)
-        seen = weight.sum(axis=1) / np.maximum(full, 1e-9)
-        return step, np.asarray(seen, dtype=np.float64)
+        return step, seen
+
+    @cached_property
+    def _fixed(self) -> tuple[Floats32, Floats32, Floats32, FloatArray]:
+        """What does not depend on the frame, of all markers.
+
+        Weighted gradients, weights of levels that do not change with the motion and say how light
+        has changed, change by blur, and motion per weighted change.
+        """
+        known = self.weight > 0.0
+        weighted = self.slope * self.weight[:, :, None]
+        flat = known / (np.float32(1.0) + np.sum(self.slope**2, axis=2))
+        return weighted, flat, self.blur * known, _per_pull(weighted, self.motion)
+
+    def _of(self, values: Any, rows: IntArray, axis: int = 0) -> Any:
+        """Values of some markers, without a copy of those of all."""
+        return values if len(rows) == len(self.ids) else np.take(values, rows, axis=axis)
 
     def _red_near(self, frame: ImageArray, x: IntArray, y: IntArray) -> BoolArray:
         """Whether pixels (m, k) are red, or lie beside red ones."""
@@ -336,12 +358,12 @@ def _filtered(grey: Floats32, less_px2: float = 0.0) -> Floats32:
 def _in_the_light_of(rest: Floats32, now: Floats32, weight: Floats32) -> Floats32:
     """Luminance (m, k) as it would be in the light, and with the offset, of the rest frame."""
     total = max(float(weight.sum()), 1e-9)
-    mean, mean_rest = (float((weight * each).sum()) / total for each in (now, rest))
+    mean, mean_rest = (float(np.vdot(weight, each)) / total for each in (now, rest))
+    apart, apart_rest = now - np.float32(mean), rest - np.float32(mean_rest)
     # A ratio of spreads: by regression, edges that have moved would seem to be fainter.
-    spread = float((weight * (now - mean) ** 2).sum())
-    spread_rest = float((weight * (rest - mean_rest) ** 2).sum())
-    gain = np.sqrt(spread_rest / max(spread, 1e-9))
-    return np.asarray(mean_rest + gain * (now - mean), dtype=np.float32)
+    spread = float(np.vdot(weight, apart**2))
+    spread_rest = float(np.vdot(weight, apart_rest**2))
+    return np.float32(mean_rest) + np.float32(np.sqrt(spread_rest / max(spread, 1e-9))) * apart
 
 
 def _per_pull(weighted: Floats32, motion: Floats32) -> FloatArray:
