@@ -33,8 +33,9 @@ class EdgeSettings:
     Attributes
     ----------
     area_min_px, area_max_px : float
-        Markers of a camera are read by their edges if half of them have less paint than this: the
-        centroids of larger ones suffer little from coarse colour.
+        Markers with less paint than the first are read by their colour alone. A camera's markers
+        are read by their edges if half of the others have less paint than the second: the centroids
+        of larger ones suffer little from coarse colour.
     pixels : int
         Most pixels of a marker that are read, those with the strongest gradient.
     grow_px, around_px : int
@@ -107,8 +108,8 @@ class MarkerEdges:
     ----------
     ids : (m,) int
         The markers.
-    rest_px : (m, 2) float
-        Centroids of their paint.
+    rest_px : (n, 2) float
+        Centroids of the paint of all markers, NaN of those that the camera does not read.
     reach_px : (m,) float
         How far the pixels lie from there, in x or y.
     pixel : (2, m, k) int32
@@ -120,9 +121,9 @@ class MarkerEdges:
         grey levels per px.
     blur : (m, k) float32
         Change of luminance per px² of a Gaussian blur, grey levels.
-    bend, soft : float
-        Third order of its change over the first, per px², and by how much the first is less, per
-        px² of blur.
+    cubic, blur_loss : float
+        By how much the change of luminance is less than in proportion to the shift, per px² of the
+        shift, and by how much less it is in a blurred picture, per px² of blur.
     colours : ColourModel
         Paints: a red tip's pixels do not count.
     """
@@ -136,8 +137,8 @@ class MarkerEdges:
     slope: Floats32
     motion: Floats32
     blur: Floats32
-    bend: float
-    soft: float
+    cubic: float
+    blur_loss: float
     colours: ColourModel
 
     @classmethod
@@ -161,6 +162,8 @@ class MarkerEdges:
         if colours.dots or not len(shown) or np.median(area_px[shown]) >= SETTINGS.area_max_px:
             return None
         blobs = segment(frame, colours, with_labels=True)
+        if not len(blobs.colour):
+            return None
         square = squared_distances(place_px[shown], blobs.centroid_px)
         nearest = np.argmin(square, axis=1)
         # A marker in several blobs has its centroid between them.
@@ -183,9 +186,9 @@ class MarkerEdges:
             )
         slopes, motions = slope[pixel[1], pixel[0]], motion[pixel[1], pixel[0]]
         weighted = slopes * weight[:, :, None]
-        per_pull = _per_pull(weighted, motions)
+        motion_per_change = _motion_per_change(weighted, motions)
         squares = np.einsum("mki,mkj->mij", weighted, weighted, dtype=np.float64)
-        variance = np.einsum("mij,mjk,mik->m", per_pull, squares, per_pull)
+        variance = np.einsum("mij,mjk,mik->m", motion_per_change, squares, motion_per_change)
         clear = SETTINGS.noise * np.sqrt(variance) <= SETTINGS.noise_max_px
         if not clear.any():
             return None
@@ -195,12 +198,12 @@ class MarkerEdges:
         curved = sum(
             float(np.sum(weight[:, :, None] * each[pixel[1], pixel[0]] ** 2)) for each in second
         )
-        softer = float(np.sum(weighted * _gradient(blur)[pixel[1], pixel[0]]))
+        weaker = float(np.sum(weighted * _gradient(blur)[pixel[1], pixel[0]]))
         ids = shown[alone]
         offset = np.where(weight > 0.0, np.abs(pixel - place_px[ids].T[:, :, None]), 0.0)
         return cls(
             ids=ids[clear],
-            rest_px=place_px[ids[clear]],
+            rest_px=place_px,
             reach_px=offset.max(axis=(0, 2))[clear],
             pixel=pixel[:, clear],
             level=level[pixel[1], pixel[0]][clear],
@@ -209,8 +212,8 @@ class MarkerEdges:
             motion=motions[clear],
             blur=blur[pixel[1], pixel[0]][clear],
             # The third order of an edge's luminance; of a round marker 3/4 of it count.
-            bend=0.125 * curved / total,
-            soft=-softer / total,
+            cubic=0.125 * curved / total,
+            blur_loss=-weaker / total,
             colours=colours,
         )
 
@@ -252,10 +255,10 @@ class MarkerEdges:
 
     def _reddened(self, rows: IntArray, shift_px: FloatArray, red: BoolArray) -> BoolArray:
         """Whether red of a tip, of those (n,) that show, may lie on markers ``rows`` (m,)."""
-        place = self.rest_px + np.nan_to_num(shift_px[self.ids])
-        out = red[self.ids[rows]].copy()
-        for tip in np.flatnonzero(red[self.ids]):
-            gap = np.hypot(*(place[rows] - place[tip]).T)
+        place, own = self.rest_px + np.nan_to_num(shift_px), self.ids[rows]
+        out = red[own].copy()
+        for tip in np.flatnonzero(red):
+            gap = np.hypot(*(place[own] - place[tip]).T)
             out |= gap < SETTINGS.red_reach * self.reach_px[rows]
         return out
 
@@ -287,37 +290,39 @@ class MarkerEdges:
     ) -> tuple[FloatArray, FloatArray]:
         """How far (m, 2) px edges are from shifts by whole pixels, and the share (m,) seen."""
         height, width = level.shape
-        x, y = (self._of(self.pixel, rows, axis=1) + whole_px.T[:, :, None]).astype(np.int64)
+        x, y = (self._taken(self.pixel, rows, axis=1) + whole_px.T[:, :, None]).astype(np.int64)
         x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
-        weighted, flat, blur, per_pull = (self._of(each, rows) for each in self._fixed)
+        weighted, flat, blur, motion_per_change = (
+            self._taken(each, rows) for each in self._precomputed
+        )
         seen = np.ones(len(rows))
         if reddened.any():
             some = np.flatnonzero(reddened)
             bare = (~self._red_near(frame, x[some], y[some])).astype(np.float32)
-            weighted, flat, blur, per_pull = (
-                each.copy() for each in (weighted, flat, blur, per_pull)
+            weighted, flat, blur, motion_per_change = (
+                each.copy() for each in (weighted, flat, blur, motion_per_change)
             )
             weighted[some] *= bare[:, :, None]
             flat[some] *= bare
             blur[some] *= bare
-            per_pull[some] = _per_pull(weighted[some], self.motion[rows[some]])
+            motion_per_change[some] = _motion_per_change(weighted[some], self.motion[rows[some]])
             weight = self.weight[rows[some]]
             seen[some] = (weight * bare).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
-        rest = self._of(self.level, rows)
+        rest = self._taken(self.level, rows)
         change = _in_the_light_of(rest, level.ravel()[y * width + x], flat) - rest
         # Less focus than at rest, of all edges alike, is one unknown of the frame, px².
         added = float(np.vdot(change, blur)) / max(float(np.vdot(blur, blur)), 1e-9)
         change -= added * blur
         pull = np.einsum("mki,mk->mi", weighted, change)
-        step = -np.einsum("mij,mj->mi", per_pull, pull.astype(np.float64))
-        step *= 1.0 + self.soft * max(added, 0.0)
+        step = -np.einsum("mij,mj->mi", motion_per_change, pull.astype(np.float64))
+        step *= 1.0 + self.blur_loss * max(added, 0.0)
         step = np.clip(step, -SETTINGS.step_far_px, SETTINGS.step_far_px)
         # The change of luminance is less than in proportion to the shift.
-        step *= 1.0 + self.bend * np.sum(step**2, axis=1, keepdims=True)
+        step *= 1.0 + self.cubic * np.sum(step**2, axis=1, keepdims=True)
         return step, seen
 
     @cached_property
-    def _fixed(self) -> tuple[Floats32, Floats32, Floats32, FloatArray]:
+    def _precomputed(self) -> tuple[Floats32, Floats32, Floats32, FloatArray]:
         """What does not depend on the frame, of all markers.
 
         Weighted gradients, weights of levels that do not change with the motion and say how light
@@ -326,9 +331,9 @@ class MarkerEdges:
         known = self.weight > 0.0
         weighted = self.slope * self.weight[:, :, None]
         flat = known / (np.float32(1.0) + np.sum(self.slope**2, axis=2))
-        return weighted, flat, self.blur * known, _per_pull(weighted, self.motion)
+        return weighted, flat, self.blur * known, _motion_per_change(weighted, self.motion)
 
-    def _of(self, values: Any, rows: IntArray, axis: int = 0) -> Any:
+    def _taken(self, values: Any, rows: IntArray, axis: int = 0) -> Any:
         """Values of some markers, without a copy of those of all."""
         return values if len(rows) == len(self.ids) else np.take(values, rows, axis=axis)
 
@@ -366,7 +371,7 @@ def _in_the_light_of(rest: Floats32, now: Floats32, weight: Floats32) -> Floats3
     return np.float32(mean_rest) + np.float32(np.sqrt(spread_rest / max(spread, 1e-9))) * apart
 
 
-def _per_pull(weighted: Floats32, motion: Floats32) -> FloatArray:
+def _motion_per_change(weighted: Floats32, motion: Floats32) -> FloatArray:
     """Motion per weighted change of luminance, (m, 2, 2)."""
     moves = np.einsum("mki,mkj->mij", weighted, motion, dtype=np.float64)
     # Edges along one direction only say nothing of the other: no motion there.
