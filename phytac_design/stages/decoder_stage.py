@@ -9,7 +9,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera_motion import MOUNTS, tabulate_camera_motion
 from phytac_decoder.estimation.cascade_network import Activation
-from phytac_decoder.estimation.contact_fit import PredictedNoise
+from phytac_decoder.estimation.contact_fit import MarkerNoise
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle import Bundle, CameraView, save_bundle, stamp_bundle
@@ -56,12 +56,12 @@ def _locator(context: Context) -> ContactLocator:
     """Return the estimator ``auto`` by design, with its noise and its unreadable switches."""
     played, views = played_in(context), context.arrays("views")
     locator = locator_of(context)
-    predicted = PredictedNoise(
+    noise = MarkerNoise(
         still_px=views["noise_still_px"].reshape(-1), moved_px=views["noise_moved_px"].reshape(-1)
     )
     return replace(
         locator,
-        noise=replace(locator.noise, predicted=predicted),
+        noise=replace(locator.noise, markers=noise),
         blind=_tips(context, "tip_", played).blind(played),
     )
 

@@ -177,7 +177,7 @@ def calibrate_locator(
     if len(chosen) > SETTINGS.scale_samples:
         few = np.random.default_rng(seed).permutation(chosen)[: SETTINGS.scale_samples]
     plain = replace(locator, correction=None, prior=_fit_prior(locator, samples, chosen))
-    if plain.noise.predicted:
+    if plain.noise.markers and not plain.noise.fitted:
         # That of a design and of unknown prints; fitted is that of this print's own tables.
         plain = replace(plain, noise=ShiftNoise(centroid_px=plain.noise.centroid_px))
     first = 1.0
@@ -188,9 +188,11 @@ def calibrate_locator(
     seen, known = predict_residuals(plain, samples, chosen, _moments(plain, samples))
     gain, design = fit_gains(seen), plain.places
     folds = cross_validation_folds(seen, SETTINGS.folds, samples.sequence[chosen])
-    each_px, switched_px = estimate_marker_noise(seen, folds)
-    usual_px = float(np.sqrt(np.mean(each_px**2)))
-    noise = replace(plain.noise, centroid_px=usual_px, ratio=each_px / usual_px)
+    own = locator.noise.markers
+    moved_px = own.moved_px if own else np.zeros(2 * samples.markers)
+    markers, switched_px = estimate_marker_noise(seen, folds, moved_px)
+    usual_px = float(np.sqrt(np.mean(markers.still_px**2)))
+    noise = replace(plain.noise, centroid_px=usual_px, markers=markers, fitted=True)
     if switched_px is not None:
         noise = replace(noise, switched_px=switched_px)
     plain = replace(plain, noise=noise)
@@ -268,7 +270,7 @@ def _rescaled(plain: ContactLocator, matches: ContactMatches) -> tuple[ContactLo
     """Return the locator with fitted stiffness and noise, and the stiffness over the old one."""
     factor = weighted_median(matches.truth_N / matches.force_N, matches.force_N / matches.sd_N)
     change = float(np.clip(np.sqrt(np.median(matches.reduced_chi2)), *SETTINGS.noise_change))
-    noise = replace(plain.noise, centroid_px=plain.noise.centroid_px * change)
+    noise = plain.noise.scaled(change)
     return replace(plain, places=plain.places.scaled(factor), noise=noise), factor
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.estimation.contact_fit import initial_state
+from phytac_decoder.estimation.contact_fit import MarkerNoise, initial_state, moved_share
 from phytac_decoder.estimation.contact_shifts import SHEAR_START, centre_of, predicted_shifts
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.mechanics.response_table import ResponseTable
@@ -27,6 +27,10 @@ class MarkerGainSettings:
     gain_sd: float = 0.02
     """Standard deviation of G's entries."""
     noise_min_px: float = 1e-4
+    still_min: float = 0.01
+    """Least variance of a marker that does not move, over the usual one."""
+    noise_iterations: int = 20
+    """Of still and moved markers in turns; the last ones change neither by a thousandth."""
     prior_count: float = 10.0
     """Weight of the prior of a marker's noise, in measurements."""
 
@@ -226,14 +230,19 @@ def cross_validation_folds(
 
 
 def estimate_marker_noise(
-    seen: PredictionResiduals, folds: Sequence[CrossValidationFold]
-) -> tuple[FloatArray, float | None]:
+    seen: PredictionResiduals, folds: Sequence[CrossValidationFold], moved_px: FloatArray
+) -> tuple[MarkerNoise, float | None]:
     """Estimate the noise of markers from residuals with gains of the other folds.
+
+    Parameters
+    ----------
+    moved_px : (2n,) float
+        What the design adds for a marker that has moved far, in proportion.
 
     Returns
     -------
-    each_px : (2n,) float
-        Standard deviation of shifts, as x0, y0, x1, …, of markers that move little.
+    noise : MarkerNoise
+        That of markers whose switch is off.
     switched_px : float or None
         The same of markers whose switch is on; None if fewer than ten are.
     """
@@ -246,14 +255,25 @@ def estimate_marker_noise(
     known = found & (little & ~seen.on)[:, :, None]
     if not known.any():  # a small sensor under large forces
         known = found
-    square = np.sum(np.where(known, after, 0.0) ** 2, axis=0)
-    number = known.sum(axis=0)
-    some = number > 0
-    usual = float(np.median(square[some] / number[some])) if some.any() else 1.0
-    each = np.sqrt((square + SETTINGS.prior_count * usual) / (number + SETTINGS.prior_count))
+    square = np.where(known, after, 0.0) ** 2
+    share = moved_share(seen.predicted_px)[:, :, None]
+    grid = np.where(known, share * moved_px.reshape(-1, 2) ** 2, 0.0)
+    still, growth = np.ones(square.shape[1:]), 0.0
+    for _ in range(SETTINGS.noise_iterations):
+        # A measurement says the less of a variance, the larger it is.
+        weight = np.where(known, (still / (still + growth * grid)) ** 2, 0.0)
+        total, number = np.sum(weight * (square - growth * grid), axis=0), weight.sum(axis=0)
+        some = number > 0.0
+        usual = max(float(np.median(total[some] / number[some])), 0.0) if some.any() else 1.0
+        still = (total + SETTINGS.prior_count * usual) / (number + SETTINGS.prior_count)
+        still = np.maximum(still, max(SETTINGS.still_min * usual, SETTINGS.noise_min_px**2))
+        weighted = np.where(known, grid / (still + growth * grid) ** 2, 0.0)
+        excess = float(np.sum(weighted * (square - still)))
+        growth = max(excess, 0.0) / max(float(np.sum(weighted * grid)), 1e-12)
+    noise = MarkerNoise(still_px=np.sqrt(still).reshape(-1), moved_px=np.sqrt(growth) * moved_px)
     on = after[seen.on[:, :, None] & found]
     switched = float(np.sqrt(np.mean(on**2))) if len(on) >= 20 else None  # two coordinates each
-    return np.maximum(each, SETTINGS.noise_min_px).reshape(-1), switched
+    return noise, switched
 
 
 def apply_gain(places: ResponseTable, gain: FloatArray) -> ResponseTable:

@@ -6,10 +6,11 @@ slope, and by a share of the force more: a sheet that softens.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+from phytac_decoder.estimation.contact_fit import ContactPrior, MarkerNoise, ShiftNoise
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -95,6 +96,13 @@ def flat_locator(*, place_mm: float = 1.5, noise_px: float = 0.02) -> ContactLoc
         prior=ContactPrior(place_mm=place_mm),
         noise=ShiftNoise(centroid_px=noise_px, share=0.005, switched_px=0.0),
     )
+
+
+def with_fitted_noise(locator: ContactLocator) -> ContactLocator:
+    """The same, its noise fitted to each marker's own data: all have the usual one."""
+    still = np.full(2 * len(MARKERS), locator.noise.centroid_px)
+    noise = MarkerNoise(still_px=still, moved_px=np.zeros_like(still))
+    return replace(locator, noise=replace(locator.noise, markers=noise, fitted=True))
 
 
 def nearest(point_mm: FloatArray) -> int:

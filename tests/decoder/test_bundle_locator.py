@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+from phytac_decoder.estimation.contact_fit import ContactPrior, MarkerNoise, ShiftNoise
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
@@ -63,7 +63,11 @@ def bundle() -> Bundle:
             centroid_px=0.05,
             share=0.01,
             switched_px=0.4,
-            ratio=rng.uniform(0.5, 2.0, 2 * count),
+            markers=MarkerNoise(
+                still_px=rng.uniform(0.02, 0.1, 2 * count),
+                moved_px=rng.uniform(0.0, 0.1, 2 * count),
+            ),
+            fitted=True,
         ),
         correction=ForceCorrection(
             centre=rng.normal(size=(7, 5)),
@@ -113,8 +117,11 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
     assert saved.model.locator is not None
     one, two = saved.model.locator, loaded.locator
     assert (one.prior, one.footprint_mm) == (two.prior, two.footprint_mm)
-    assert replace(one.noise, ratio=None) == replace(two.noise, ratio=None)
-    np.testing.assert_array_equal(one.noise.each_px, two.noise.each_px)
+    assert replace(one.noise, markers=None) == replace(two.noise, markers=None)
+    assert one.noise.markers is not None
+    assert two.noise.markers is not None
+    np.testing.assert_array_equal(one.noise.markers.still_px, two.noise.markers.still_px)
+    np.testing.assert_array_equal(one.noise.markers.moved_px, two.noise.markers.moved_px)
     assert one.correction is not None
     assert two.correction is not None
     for name in ("centre", "weight", "low_mm", "size_mm", "force_max_N", "spread", "spread_share"):
@@ -318,6 +325,38 @@ def _slopes_flat(arrays: dict[str, Any]) -> None:
     arrays["places.wall_slopes"] = np.zeros(4, np.float32)
 
 
+def test_noise_of_earlier_bundles(tmp_path: Path) -> None:
+    """Up to schema 1.23 fitted noise was a ratio to the usual one, and predicted noise had its own
+    names."""
+    saved = bundle()
+    save_bundle(saved, tmp_path)
+    arrays = load_file(tmp_path / "bundle.safetensors")
+    still = arrays.pop("places.noise_still_px")
+    moved = arrays.pop("places.noise_moved_px")
+    for old, wanted, fitted in (
+        ({"ratio": still / 0.05}, (still, 0.0), True),
+        ({"predicted_still_px": still, "predicted_moved_px": moved}, (still, moved), False),
+        ({}, None, False),
+    ):
+        path = tmp_path / "bundle.json"
+        facts = json.loads(path.read_text())
+        facts["schema_version"] = "1.23"
+        facts.pop("arrays_sha256", None)
+        facts["auto"]["noise"].pop("fitted", None)
+        path.write_text(json.dumps(facts))
+        named = {f"places.noise_{name}": values for name, values in old.items()}
+        save_file(arrays | named, tmp_path / "bundle.safetensors")
+        locator = load_bundle(tmp_path).model.locator
+        assert locator is not None
+        assert locator.noise.fitted == fitted
+        if wanted is None:
+            assert locator.noise.markers is None
+            continue
+        assert locator.noise.markers is not None
+        assert locator.noise.markers.still_px == pytest.approx(wanted[0])
+        assert locator.noise.markers.moved_px == pytest.approx(wanted[1])
+
+
 def _walls_gone(arrays: dict[str, Any]) -> None:
     del arrays["places.wall_number"]
 
@@ -331,11 +370,11 @@ def _all_lost(arrays: dict[str, Any]) -> None:
 
 
 def _noise_cut(arrays: dict[str, Any]) -> None:
-    arrays["places.noise_ratio"] = arrays["places.noise_ratio"][1:]
+    arrays["places.noise_still_px"] = arrays["places.noise_still_px"][1:]
 
 
 def _noise_none(arrays: dict[str, Any]) -> None:
-    arrays["places.noise_ratio"][5] = 0.0
+    arrays["places.noise_still_px"][5] = 0.0
 
 
 def _few(arrays: dict[str, Any]) -> None:

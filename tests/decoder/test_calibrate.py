@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phytac_decoder.estimation.contact_fit import MarkerNoise
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_design.datasets.samples import Samples, TouchRows
@@ -105,8 +106,8 @@ def test_markers_gains_and_noise_are_found_and_forces_read_better_by_them() -> N
     after = np.linalg.norm(rows - wanted, axis=1) / size
     assert np.median(after) < 0.5 * np.median(before)
     assert facts["gain"] == pytest.approx(0.02, abs=0.008)
-    assert learnt.noise.ratio is not None
-    found = learnt.noise.centroid_px * learnt.noise.ratio.reshape(n, 2)
+    assert learnt.noise.markers is not None
+    found = learnt.noise.markers.still_px.reshape(n, 2)
     assert np.median(np.abs(found / noise - 1.0)) < 0.15
     error = []
     for locator in (learnt, replace(learnt, places=LOCATOR.places.scaled(facts["stiffness"]))):
@@ -144,15 +145,31 @@ def test_gains_and_noise_at_the_ends(scale: float, noise: float) -> None:
     for e, r in ((explained, left), (explained[one], left[one]), (explained, lost)):
         seen = drawn_shown(e, r)
         gain = fit_gains(seen)
-        each, on = estimate_marker_noise(seen, cross_validation_folds(seen, 10))
+        found, on = estimate_marker_noise(seen, cross_validation_folds(seen, 10), np.ones(12))
         assert np.abs(gain).max() < 0.02
-        assert np.isfinite(each).all()
-        assert (each > 0.0).all()
+        assert np.isfinite(found.still_px).all()
+        assert np.isfinite(found.moved_px).all()
+        assert (found.still_px > 0.0).all()
         assert on is None
-    each, _ = estimate_marker_noise(
-        drawn_shown(explained, left), cross_validation_folds(drawn_shown(explained, left), 10)
-    )
-    assert np.median(each) == pytest.approx(max(noise, 1e-4), rel=0.4)
+    seen = drawn_shown(explained, left)
+    found, _ = estimate_marker_noise(seen, cross_validation_folds(seen, 10), np.zeros(12))
+    assert np.median(found.still_px) == pytest.approx(max(noise, 1e-4), rel=0.4)
+
+
+def test_noise_of_markers_that_move_is_told_apart() -> None:
+    rng = np.random.default_rng(4)
+    design_px, still_px = rng.uniform(0.02, 0.06, 12), rng.uniform(0.01, 0.03, 12)
+    true = MarkerNoise(still_px=still_px, moved_px=2.0 * design_px)
+    explained = rng.choice([0.0, 0.3], (400, 6, 1)) * rng.normal(size=(400, 6, 2))
+    sd = np.sqrt([true.variance(one) for one in explained.reshape(400, -1)])
+    seen = drawn_shown(explained, (sd * rng.normal(size=sd.shape)).reshape(explained.shape))
+    found, _ = estimate_marker_noise(seen, cross_validation_folds(seen, 10), design_px)
+    assert found.moved_px == pytest.approx(true.moved_px, rel=0.15)
+    assert found.still_px == pytest.approx(true.still_px, rel=0.25)
+    # Markers that a design expects to be still noisier when they move, and are not.
+    calm = drawn_shown(explained, (still_px * rng.normal(size=sd.shape)).reshape(explained.shape))
+    found, _ = estimate_marker_noise(calm, cross_validation_folds(calm, 10), design_px)
+    assert (found.moved_px < 0.3 * design_px).all()
 
 
 def test_few_samples_determine_the_stiffness_alone() -> None:

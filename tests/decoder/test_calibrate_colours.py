@@ -63,7 +63,11 @@ def test_switches_survive_less_light_after_the_rest_frame() -> None:
     bundle = calibrate_rest(plain_bundle(), draw(REST))
     frame = lit(draw(PLACE, BITS, seed=2, tip_radius=2.4), (0.72, 0.72, 0.72))
     assert measure_frame(bundle, frame).koi.tolist() == [45, 58, 70]
-    fixed = replace(bundle, colours=replace(bundle.colours, usual_weight=None))
+    # By the wall's brightness as well as by the paint's.
+    colours = replace(bundle.colours, usual_weight=None)
+    for one in (replace(bundle, colours=colours), replace(bundle, white_balance=())):
+        assert measure_frame(one, frame).koi.tolist() == [45, 58, 70]
+    fixed = replace(bundle, colours=colours, white_balance=())
     assert len(measure_frame(fixed, frame).koi) < 3
 
 

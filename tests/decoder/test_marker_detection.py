@@ -262,18 +262,19 @@ def test_red_that_shows_at_rest_is_measured_there() -> None:
 
 def test_tips_with_more_red_than_at_rest_are_half_out() -> None:
     tips = TipModel(
-        on_px=np.zeros((8, 2)),
-        red_rest_px=np.array([20.0, 20.0, 20.0, 40.0, 4.0, 40.0, 20.0, 4.0]),
-        red_on_px=np.array([80.0, 80.0, 80.0, 60.0, 80.0, 50.0, 80.0, 40.0]),
+        on_px=np.zeros((10, 2)),
+        red_rest_px=np.array([20.0, 20.0, 20.0, 40.0, 0.0, 4.0, 0.0, 40.0, 20.0, 4.0]),
+        red_on_px=np.array([80.0, 80.0, 80.0, 60.0, 14.0, 80.0, 80.0, 50.0, 80.0, 40.0]),
     )
-    red = np.array([32.0, 28.0, 65.0, 49.0, 30.0, 60.0, 60.0, 25.0])
-    on = np.array([0, 0, 1, 0, 0, 0, 1, 1]) > 0
-    # A fifth of the way; within the scatter of printed tips; on; too little of it; hidden at rest;
-    # not readable; on by two thirds of the way; too small to be measured.
-    named = [True, False, False, False, False, False, True, False]
+    red = np.array([32.0, 28.0, 65.0, 49.0, 6.0, 30.0, 15.0, 60.0, 60.0, 25.0])
+    on = np.array([0, 0, 1, 0, 0, 0, 0, 0, 1, 1]) > 0
+    # A fifth of the way; within the scatter of printed tips; on; too little of it; two that hardly
+    # show at rest, a third of the way; the same, a fifth of the way; not readable; on by two thirds
+    # of the way; too small to be measured.
+    named = [True, False, False, False, True, True, False, False, True, False]
     assert tips.half_out(red, on).tolist() == named
     # A tip that comes out as the force grows is half out without a fault.
-    gradual = replace(tips, gradual=np.array([1, 0, 0, 0, 0, 0, 1, 0]) > 0)
+    gradual = replace(tips, gradual=np.array([1, 0, 0, 0, 1, 1, 0, 0, 1, 0]) > 0)
     assert not gradual.half_out(red, on).any()
 
 

@@ -1,15 +1,25 @@
 """Contacts whose switches are neighbours, on a sensor in closed form."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from phytac_decoder.estimation.contact_estimates import LocatedContact
 from phytac_decoder.estimation.contact_fit import ShiftNoise
-from phytac_decoder.estimation.locator import ContactLocator
+from phytac_decoder.estimation.contact_shifts import ContactState
+from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
 from phytac_shapes.arrays import FloatArray
-from tests.decoder.flat_sensor import MARKERS, RADIUS_MM, flat_locator, nearest, shifts, together
+from tests.decoder.flat_sensor import (
+    MARKERS,
+    RADIUS_MM,
+    flat_locator,
+    nearest,
+    shifts,
+    together,
+    with_fitted_noise,
+)
 
 LOCATOR = flat_locator()
 
@@ -77,8 +87,7 @@ def narrow_presses(locator: ContactLocator) -> ContactLocator:
         moments_mm2=(less, 0.0, less),
         moments_sd_mm2=(0.5, 0.5, 0.5),
     )
-    known = replace(locator.noise, ratio=np.ones(2 * len(MARKERS)))
-    return replace(locator, prior=prior, noise=known)
+    return with_fitted_noise(replace(locator, prior=prior))
 
 
 @pytest.mark.parametrize("force_N", [(9.0, 16.0), (4.0, 22.0)])
@@ -96,3 +105,19 @@ def test_narrow_presses_on_neighbouring_switches_are_two(force_N: tuple[float, f
         assert contact.force_N == pytest.approx(f, rel=0.15)
     # Contacts of any width are one.
     assert len(flat_locator(noise_px=0.1).find(seen, ids).contacts) == 1
+
+
+def test_more_contacts_than_fingers_are_no_contacts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a frame of another colour all switches may seem on: the search for contacts ends soon."""
+    counts: list[int] = []
+    fit = ContactLocator._fit
+
+    def counted(self: ContactLocator, states: list[ContactState], *given: Any, **named: Any) -> Any:
+        counts.append(len(states))
+        return fit(self, states, *given, **named)
+
+    monkeypatch.setattr(ContactLocator, "_fit", counted)
+    every = np.arange(len(MARKERS))
+    shift = np.random.default_rng(3).normal(0.0, 1.0, (len(MARKERS), 2))
+    with_fitted_noise(flat_locator(place_mm=0.3)).find(shift, every)
+    assert 1 <= max(counts) <= SETTINGS.separate_max

@@ -11,17 +11,18 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_decoder.pipeline.decode import FrameMeasurement, noisy_rims, over_rims
 from phytac_decoder.pipeline.plausibility import implausible
 from phytac_shapes.arrays import FloatArray
-from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest
+from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest, with_fitted_noise
 from tests.decoder.test_bundle_locator import bundle as toy_with_locator
 from tests.decoder.test_follow import make_bundle
 
 AT = np.array([28.2, 29.6, 0.0])
 
 
-def flat_bundle(*, ratio: FloatArray | None = None) -> Bundle:
+def flat_bundle(*, trained: bool = False) -> Bundle:
     base, locator = make_bundle(), flat_locator()
-    noise = replace(locator.noise, ratio=ratio)
-    return replace(base, model=replace(base.model, locator=replace(locator, noise=noise)))
+    if trained:
+        locator = with_fitted_noise(locator)
+    return replace(base, model=replace(base.model, locator=locator))
 
 
 def detection(
@@ -51,7 +52,7 @@ def inverse(total_N: float) -> FloatArray:
 
 
 def test_a_plain_contact_is_plausible() -> None:
-    bundle = flat_bundle(ratio=np.ones(2 * len(MARKERS)))
+    bundle = flat_bundle(trained=True)
     assert implausible(bundle, detection(20.0), inverse(16.0)) == []
 
 
@@ -66,10 +67,11 @@ def test_a_plain_contact_is_plausible() -> None:
         (detection(24.0), 3.0, "by the compliance"),
         (detection(3.0), 24.0, "by the compliance"),
         (detection(9.0, chi2=30.0), 9.0, "5.5 times their noise"),
+        (detection(9.0, sd_N=np.nan), 9.0, "not determined"),
     ],
 )
 def test_each_contradiction_is_named(found: ContactDetection, inverse_N: float, words: str) -> None:
-    bundle = flat_bundle(ratio=np.ones(2 * len(MARKERS)))
+    bundle = flat_bundle(trained=True)
     (reason,) = implausible(bundle, found, inverse(inverse_N))
     assert words in reason
 

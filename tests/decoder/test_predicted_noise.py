@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection
-from phytac_decoder.estimation.contact_fit import PredictedNoise
+from phytac_decoder.estimation.contact_fit import MarkerNoise
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_decoder.pipeline.decode import corrected_shift, noisy_rims
@@ -20,14 +20,14 @@ from tests.refusals import refused
 COUNT = len(MARKERS)
 
 
-def noise_of(still_px: float, moved_px: float) -> PredictedNoise:
+def noise_of(still_px: float, moved_px: float) -> MarkerNoise:
     ones = np.ones(2 * COUNT)
-    return PredictedNoise(still_px=still_px * ones, moved_px=moved_px * ones)
+    return MarkerNoise(still_px=still_px * ones, moved_px=moved_px * ones)
 
 
 def predicting(still_px: float = 0.02, moved_px: float = 0.01) -> ContactLocator:
     plain = flat_locator(noise_px=0.06)
-    return replace(plain, noise=replace(plain.noise, predicted=noise_of(still_px, moved_px)))
+    return replace(plain, noise=replace(plain.noise, markers=noise_of(still_px, moved_px)))
 
 
 def point(x: float, y: float) -> FloatArray:
@@ -100,7 +100,7 @@ def test_bundles_keep_predicted_noise_and_covers(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     still, moved = rng.uniform(0.01, 0.1, (2, 60))
     noise = replace(
-        locator.noise, ratio=None, predicted=PredictedNoise(still_px=still, moved_px=moved)
+        locator.noise, fitted=False, markers=MarkerNoise(still_px=still, moved_px=moved)
     )
     prior = replace(locator.prior, force_N=25.0)
     model = replace(plain.model, locator=replace(locator, noise=noise, prior=prior))
@@ -112,10 +112,10 @@ def test_bundles_keep_predicted_noise_and_covers(tmp_path: Path) -> None:
     loaded = load_bundle(tmp_path)
     kept = loaded.model.locator
     assert kept is not None
-    assert kept.noise.predicted is not None
+    assert kept.noise.markers is not None
     assert kept.prior == prior
-    np.testing.assert_array_equal(kept.noise.predicted.still_px, still)
-    np.testing.assert_array_equal(kept.noise.predicted.moved_px, moved)
+    np.testing.assert_array_equal(kept.noise.markers.still_px, still)
+    np.testing.assert_array_equal(kept.noise.markers.moved_px, moved)
     on = rng.random(30) < 0.5
     np.testing.assert_array_equal(loaded.tip_shift_px(on), saved.tip_shift_px(on))
     wrong = replace(covers, tip=np.array([5, 30]))

@@ -14,7 +14,14 @@ from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
 from phytac_decoder.io.bundle import STIFFNESS_CHANGE, load_bundle, save_bundle
 from phytac_shapes.arrays import FloatArray
-from tests.decoder.flat_sensor import DISC, MARKERS, flat_locator, nearest, shifts
+from tests.decoder.flat_sensor import (
+    DISC,
+    MARKERS,
+    flat_locator,
+    nearest,
+    shifts,
+    with_fitted_noise,
+)
 from tests.decoder.test_bundle_locator import bundle
 
 AT = np.array([27.0, 33.0, 0.0])
@@ -65,8 +72,8 @@ def test_a_missing_contact_is_tried_below_the_drop_that_is_demanded_of_it(
         return search(self, *given)
 
     monkeypatch.setattr(ContactLocator, "_unswitched_start", spied)
-    locator, far = flat_locator(noise_px=0.05), AT + np.array([15.0, 9.0, 0.0])
-    locator = replace(locator, noise=replace(locator.noise, ratio=np.ones(2 * len(MARKERS))))
+    locator = with_fitted_noise(flat_locator(noise_px=0.05))
+    far = AT + np.array([15.0, 9.0, 0.0])
     noise = np.random.default_rng(2).normal(0.0, 0.05, 2 * len(MARKERS))
     for force, tried in ((0.0, []), (0.7, [SETTINGS.foreseen_share * SETTINGS.chi2_drop])):
         asked.clear()

@@ -219,8 +219,9 @@ def test_frames_warn_of_what_is_missing() -> None:
 
 def test_frames_warn_of_red_that_no_switch_shows() -> None:
     bundle = sound()
-    for tips, warned in ((1, False), (2, True)):
-        measured = replace(pressed(bundle, {4: 9.0}, [4]), half_out=np.arange(tips))
+    # One that reads as on, the same and one more, and one that reads as off.
+    for tips, warned in (([4], False), ([4, 5], True), ([5], True)):
+        measured = replace(pressed(bundle, {4: 9.0}, [4]), half_out=np.array(tips))
         texts = measured.warnings(bundle, measured.forces_N(bundle, "koi_inverse"))
         assert any("more red than at rest" in text for text in texts) == warned
 

@@ -6,7 +6,7 @@ under a distribution with power-law tails (Huber 1981, ch. 7): iteratively rewei
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -86,11 +86,11 @@ class ContactPrior:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictedNoise:
-    """Noise of shifts by a design's own rendered frames, before any frame of a sensor is seen.
+class MarkerNoise:
+    """Noise of each marker's shift, which grows with the shift.
 
     Where a marker's paint meets the grid of pixels moves its centroid. At rest that error is the
-    same in all frames, and cancels; it grows with the marker's shift.
+    same in all frames, and cancels.
 
     Attributes
     ----------
@@ -110,14 +110,19 @@ class PredictedNoise:
     def variance(self, shift_px: FloatArray) -> FloatArray:
         """Return the variance (2n,) px² of shifts (2n,)."""
         still, moved = self.squares
-        size = np.sqrt(shift_px[::2] ** 2 + shift_px[1::2] ** 2)
-        share = size / (size + SETTINGS.grid_px)
+        share = moved_share(shift_px.reshape(-1, 2))
         return np.asarray(still + (moved.reshape(-1, 2) * share[:, None]).reshape(-1))
 
     def chi2_at(self, noise_px: float) -> float:
         """Return the reduced χ² of frames with a larger noise, 1 or more; half of them moved."""
         still, moved = self.squares
         return max(float(np.mean(noise_px**2 / (still + 0.5 * moved))), 1.0)
+
+
+def moved_share(shift_px: FloatArray) -> FloatArray:
+    """Return the share (…,) of the variance by the grid of pixels of shifts (…, 2)."""
+    size = np.sqrt(shift_px[..., 0] ** 2 + shift_px[..., 1] ** 2)
+    return np.asarray(size / (size + SETTINGS.grid_px))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,29 +132,28 @@ class ShiftNoise:
     Attributes
     ----------
     centroid_px : float
-        Usual standard deviation of a coordinate.
+        Usual standard deviation of a coordinate; where that of each marker is predicted, only that
+        which a camera may have.
     share : float
         Further standard deviation as a share of the predicted shift: the tables are not exact.
     switched_px : float
         Further standard deviation of receptors whose red tip is out: it covers paint.
-    ratio : (2n,) float, optional
-        Standard deviation of each coordinate (x0, y0, x1, …) over ``centroid_px``; default 1.
-    predicted : PredictedNoise, optional
-        In place of ``centroid_px``, which is then only the noise that a camera may have.
+    markers : MarkerNoise, optional
+        That of each marker, in place of ``centroid_px``.
+    fitted : bool
+        It was fitted to a sensor's own data; otherwise predicted by the design's rendered frames.
     """
 
     centroid_px: float
     share: float = 0.02
     switched_px: float = 0.5
-    ratio: FloatArray | None = None
-    predicted: PredictedNoise | None = None
+    markers: MarkerNoise | None = None
+    fitted: bool = False
 
     @property
     def each_px(self) -> FloatArray | float:
         """Standard deviation of each coordinate, (2n,), or one for all."""
-        if self.predicted:
-            return self.predicted.still_px
-        return self.centroid_px if self.ratio is None else self.centroid_px * self.ratio
+        return self.markers.still_px if self.markers else self.centroid_px
 
     @cached_property
     def median_px(self) -> float:
@@ -159,17 +163,19 @@ class ShiftNoise:
     @property
     def known(self) -> bool:
         """Whether χ² means anything: noise that is neither fitted nor predicted may be far off."""
-        return self.ratio is not None or self.predicted is not None
+        return self.markers is not None
 
     @property
     def alike(self) -> float:
         """Noise that a fit presumes over that of single markers."""
-        return SETTINGS.alike if self.predicted else 1.0
+        return SETTINGS.alike if self.markers and not self.fitted else 1.0
 
     @property
     def chi2_allowed(self) -> float:
         """Reduced χ² of the largest noise that a camera may have."""
-        return self.predicted.chi2_at(self.centroid_px) if self.predicted else 1.0
+        if self.markers is None or self.fitted:
+            return 1.0
+        return self.markers.chi2_at(self.centroid_px)
 
     def variance(
         self, shift_px: FloatArray, pressed_px: FloatArray, scale: float = 1.0
@@ -178,9 +184,18 @@ class ShiftNoise:
 
         ``scale`` is the frame's noise over the usual one.
         """
-        own = self.predicted.variance(shift_px) if self.predicted else self.each_px**2
+        own = self.markers.variance(shift_px) if self.markers else self.centroid_px**2
         factor = (scale * self.alike) ** 2
         return np.asarray(factor * own + (self.share * pressed_px) ** 2)
+
+    def scaled(self, factor: float) -> "ShiftNoise":
+        """Return noise that is larger by a factor."""
+        markers = self.markers
+        if markers:
+            markers = MarkerNoise(
+                still_px=factor * markers.still_px, moved_px=factor * markers.moved_px
+            )
+        return replace(self, centroid_px=factor * self.centroid_px, markers=markers)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,6 +44,10 @@ from phytac_shapes.discs import disc_overlap_share
 class LocatorSettings:
     """Settings of the search for contacts, chosen on simulated contacts and virtual prints."""
 
+    separate_max: int = 20
+    """Most contacts into which groups of switches are divided: two hands have half as many fingers.
+    More are no contacts (in a frame of another colour than the rest frame half of all switches may
+    seem on), and a fit of 40 takes a second."""
     unswitched_max: int = 4
     """Largest number of contacts without a switch."""
     chi2_drop: float = 40.0
@@ -87,7 +91,7 @@ class LocatorSettings:
     3 % of mean and 3 % of local thickness to the power of 2.3. It limits decoders that were not
     calibrated on their print."""
     noise_growth_min: float = 1.3
-    """Squared noise of a frame, over the predicted one, from which a frame is taken as noisier."""
+    """Squared noise of a frame, over the expected one, from which a frame is taken as noisier."""
     chi2_growth_max: float = 1.15
     """A warm start is kept until χ² has grown by this; of 700 shifts it varies by 5 %."""
     warm_start_iterations: int = 3
@@ -282,11 +286,11 @@ class ContactLocator:
         return FitState(fit=best, reduced_chi2=best.reduced_chi2, noise_scale=scale)
 
     def _noise_scale(self, best: ContactFit, seen: ShiftObservation) -> float:
-        """Return this frame's noise over the predicted one, where that is exceeded.
+        """Return this frame's noise over the expected one, where that is exceeded.
 
         By the quieter markers: what is not explained, as by a contact that is missing, moves some.
         """
-        if self.noise.predicted is None or not seen.found.any():
+        if self.noise.markers is None or not seen.found.any():
             return 1.0
         square = best.inverse * (seen.shift_px - best.predicted_px) ** 2
         each = self.noise.alike**2 * square.reshape(-1, 2).sum(axis=1)[seen.found[::2]]
@@ -357,6 +361,8 @@ class ContactLocator:
             others = [start for start in starts if not np.isin(start.markers, own).any()]
             new = [self._start(seen.koi, force, rows) for rows in parts]
             separate = [*others, *new]
+            if len(separate) > SETTINGS.separate_max:
+                continue
             drop = 0.0 if apart[group].any() else SETTINGS.chi2_drop * (len(parts) - 1)
             if not self._may_gain(best, seen, new, drop):
                 continue

@@ -58,11 +58,12 @@ from phytac_decoder.vision.picture_quality import FocusCheck, LightCheck
 from phytac_decoder.vision.reference_marks import ReferenceMarks, with_marks
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipCovers, TipModel
+from phytac_decoder.vision.white_balance import WhiteBalance
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import check_file, read_text
 from phytac_shapes.errors import InputError, cause_of
 
-SCHEMA, FORMAT = (1, 23), "phytac-decoder-bundle"
+SCHEMA, FORMAT = (1, 24), "phytac-decoder-bundle"
 TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
 """Attributes of a tip model by name of the array."""
 
@@ -138,6 +139,8 @@ class Bundle:
         How the focus of each camera's frames is measured; empty without a rest frame.
     light : tuple of LightCheck or None
         Levels of each camera's markers at rest; empty without a rest frame.
+    white_balance : tuple of WhiteBalance or None
+        The wall's levels in each camera's rest frame; empty without a rest frame.
     edges : tuple of MarkerEdges or None
         Edges of each camera's markers at rest, where markers are small; empty without a rest frame.
     notes : dict
@@ -168,6 +171,7 @@ class Bundle:
     other_print_mm: float = 0.0
     focus: tuple[FocusCheck | None, ...] = ()
     light: tuple[LightCheck | None, ...] = ()
+    white_balance: tuple[WhiteBalance | None, ...] = ()
     edges: tuple[MarkerEdges | None, ...] = ()
     notes: dict[str, Any] = field(default_factory=dict)
 

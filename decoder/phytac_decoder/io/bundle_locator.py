@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.estimation.contact_fit import ContactPrior, PredictedNoise, ShiftNoise
+from phytac_decoder.estimation.contact_fit import ContactPrior, MarkerNoise, ShiftNoise
 from phytac_decoder.estimation.force_correction import LEGACY_LENGTHS, ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_check import check_arrays, number, numbers
@@ -18,8 +18,7 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
-PREFIX, PAIR, WALL, RATIO, SHEAR = "places.", "pair_", "wall_", "noise_ratio", "shear_"
-PREDICTED = "noise_predicted_"
+PREFIX, PAIR, WALL, NOISE, SHEAR = "places.", "pair_", "wall_", "noise_", "shear_"
 FRAME, PLACES_MIN = ("point_mm", "along", "around"), 4
 SHAPES: dict[str, tuple[int | str, ...]] = {
     **dict.fromkeys(FRAME, ("places", 3)),
@@ -30,9 +29,8 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     WALL + "number": ("places",),
     WALL + "slopes": ("places", "powers", "modes"),
     WALL + "most": (1,),
-    RATIO: ("2n",),
-    PREDICTED + "still_px": ("2n",),
-    PREDICTED + "moved_px": ("2n",),
+    NOISE + "still_px": ("2n",),
+    NOISE + "moved_px": ("2n",),
     **dict.fromkeys((SHEAR + name for name in FRAME), ("sheared", 3)),
     SHEAR + "shift_px": ("sheared", 2, "2n"),
     "weight": ("contacts",),
@@ -51,7 +49,7 @@ def locator_table(locator: ContactLocator) -> dict[str, Any]:
         **({"linear_error": locator.linear_error} if locator.linear_error else {}),
         "footprint_mm": locator.footprint_mm,
         "prior": _plain(locator.prior),
-        "noise": _plain(locator.noise, "ratio", "predicted"),
+        "noise": _plain(locator.noise, "markers"),
         **({"learnt": _plain(fitted, "centre", "weight")} if fitted else {}),
     }
 
@@ -65,11 +63,9 @@ def _plain(item: Any, *arrays: str) -> dict[str, Any]:
 def locator_arrays(locator: ContactLocator) -> dict[str, Any]:
     """Return the arrays of ``bundle.safetensors``."""
     arrays = response_arrays(locator.places)
-    if locator.noise.ratio is not None:
-        arrays[RATIO] = locator.noise.ratio
-    if locator.noise.predicted is not None:
-        arrays[PREDICTED + "still_px"] = locator.noise.predicted.still_px
-        arrays[PREDICTED + "moved_px"] = locator.noise.predicted.moved_px
+    if locator.noise.markers:
+        arrays[NOISE + "still_px"] = locator.noise.markers.still_px
+        arrays[NOISE + "moved_px"] = locator.noise.markers.moved_px
     if locator.correction is not None:
         arrays |= {"centre": locator.correction.centre, "weight": locator.correction.weight}
     return {PREFIX + name: value for name, value in arrays.items()}
@@ -173,6 +169,7 @@ def locator_from(
     if PAIR + "coordinates" in own:  # Up to schema 1.22 they were stored both ways.
         rows = own.pop(PAIR + "coordinates")
         own[PAIR + "triangle"] = rows[np.tril_indices(len(rows))]
+    _rename_old_noise(own, table["noise"])
     _check(own, 2 * len(position_mm), fitted="learnt" in table, folder=folder)
     correction = None
     if "learnt" in table:
@@ -218,9 +215,8 @@ def locator_from(
             share=number(noise["share"]),
             switched_px=number(noise["switched_px"]),
             # Up to schema 1.5 all coordinates had the same noise.
-            ratio=own.get(RATIO),
-            # Up to schema 1.13 there was no prediction.
-            predicted=_predicted(own),
+            markers=_marker_noise(own),
+            fitted=bool(noise.get("fitted", False)),
         ),
         correction=correction,
         # Up to schema 1.17 it was not stored.
@@ -228,16 +224,30 @@ def locator_from(
     )
 
 
-def _predicted(own: Mapping[str, Any]) -> PredictedNoise | None:
-    if PREDICTED + "still_px" not in own:
+def _rename_old_noise(own: dict[str, Any], noise: dict[str, Any]) -> None:
+    """Bring noise of schema 1.23 and before, changing both, to the names of now.
+
+    Fitted noise was a ratio to the usual one, and did not grow with the motion.
+    """
+    for name in ("still_px", "moved_px"):
+        if f"noise_predicted_{name}" in own:
+            own[NOISE + name] = own.pop(f"noise_predicted_{name}")
+    if "noise_ratio" in own:
+        own[NOISE + "still_px"] = number(noise["centroid_px"]) * own.pop("noise_ratio")
+        own[NOISE + "moved_px"] = np.zeros_like(own[NOISE + "still_px"])
+        noise["fitted"] = True
+
+
+def _marker_noise(own: Mapping[str, Any]) -> MarkerNoise | None:
+    if NOISE + "still_px" not in own:
         return None
-    still_px, moved_px = (own[PREDICTED + name] for name in ("still_px", "moved_px"))
-    return PredictedNoise(still_px=still_px, moved_px=moved_px)
+    still_px, moved_px = (own[NOISE + name] for name in ("still_px", "moved_px"))
+    return MarkerNoise(still_px=still_px, moved_px=moved_px)
 
 
 def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) -> None:
     where = f"{folder}/bundle.safetensors"
-    parts = (PAIR, WALL, RATIO, PREDICTED, SHEAR)
+    parts = (PAIR, WALL, NOISE, SHEAR)
     absent = [part for part in parts if not any(n.startswith(part) for n in own)]
     absent += () if fitted else ("weight", "centre")
     shapes = {name: shape for name, shape in SHAPES.items() if not name.startswith(tuple(absent))}
@@ -266,8 +276,7 @@ def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) 
             f"{where}: {PREFIX}{WALL}slopes has {sizes['powers']} powers, and the tables have "
             f"{sizes['orders']} orders; the two files are of different builds",
         )
-    above = (RATIO, PREDICTED + "still_px", PREDICTED + "moved_px")
-    for name, high in ((WALL + "most", 1.0), *((name, np.inf) for name in above)):
+    for name, high in ((WALL + "most", 1.0), (NOISE + "still_px", np.inf)):
         values = np.asarray(own.get(name, 0.5))
         wrong = values[~((values > 0.0) & (values < high))]
         if len(wrong):

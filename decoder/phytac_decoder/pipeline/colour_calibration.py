@@ -20,6 +20,7 @@ from phytac_decoder.vision.matching import areas_px
 from phytac_decoder.vision.picture_quality import FocusCheck, LightCheck
 from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
 from phytac_decoder.vision.switch_detection import TipModel, red_areas
+from phytac_decoder.vision.white_balance import WhiteBalance
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
@@ -106,7 +107,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     frames = prepared_frames(bundle, rest_frames)
     lit = oriented(replace(bundle, colours=calibrated_colours(bundle, frames)), frames)
     shown, count, marks_px = [], len(bundle.colour), lit.marks.rest_px
-    weights, focus, light, edges = [], [], [], []
+    weights, focus, light, balance, edges = [], [], [], [], []
     for number, frame in enumerate(frames):
         old = lit.shown_by(number)
         matched, blobs = locate_in(lit, number, frame)
@@ -117,6 +118,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         focus.append(FocusCheck.at_rest(frame, matched.position_px[:count], area))
         own_px = np.where(np.isfinite(area)[:, None], matched.position_px[:count], np.nan)
         light.append(LightCheck.at_rest(frame, own_px))
+        balance.append(WhiteBalance.at_rest(frame, lit.colours, own_px))
         edges.append(MarkerEdges.at_rest(frame, lit.colours, own_px, area))
         moved = np.where(
             matched.found[:, None], matched.position_px - lit.spots_shown_by(number), 0
@@ -138,6 +140,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         shown=tuple(shown) if bundle.shown else (),
         focus=tuple(focus),
         light=tuple(light),
+        white_balance=tuple(balance),
         edges=tuple(edges),
         marks=replace(lit.marks, rest_px=marks_px),
         rest_px=read([item.rest_px for item in shown]),

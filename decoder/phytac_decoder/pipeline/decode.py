@@ -140,11 +140,13 @@ class FrameMeasurement:
                 "and a force may be the sum of several"
             )
         out += _contact_warnings(bundle, found)
-        if len(self.half_out) >= HALF_OUT_REPORTED:
+        off = np.setdiff1d(self.half_out, self.koi)
+        if len(off) or len(self.half_out) >= HALF_OUT_REPORTED:
             out.append(
                 f"{len(self.half_out)} tips ({id_list(self.half_out)}) show more red than at rest "
                 "and less than when their switches are on: switches may be read wrongly; check for "
-                "red light, or take a new rest frame if the light has changed"
+                "red light, focus and compression, or take a new rest frame if the light has "
+                "changed"
             )
         if not moved:
             out += self._too_many_switches(bundle, found)
@@ -383,6 +385,23 @@ def prepared_frames(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:
     return tuple(bundle.colours.prepared(each) for each in one_frame_per_camera(bundle, frames))
 
 
+def in_rest_light(bundle: Bundle, images: Sequence[ImageArray]) -> tuple[ImageArray, ...]:
+    """Images of :func:`prepared_frames` in the exposure and white balance of the rest frames.
+
+    Raises
+    ------
+    InputError
+        If an image is no picture, or has another size than its camera.
+    """
+    out = list(images)
+    for number, balance in enumerate(bundle.white_balance):
+        camera = bundle.cameras[number]
+        check_image(images[number], width_px=camera.width_px, height_px=camera.height_px)
+        if balance:
+            out[number] = balance.as_at_rest(images[number])
+    return tuple(out)
+
+
 class Located(NamedTuple):
     """Markers and reference marks (n + r), switches (n,) and tips that are half out (n,)."""
 
@@ -402,11 +421,11 @@ def locate_markers(bundle: Bundle, frames: Frames) -> Located:
         If there is not one image for each camera, or one has another size than its camera, or
         shows too few markers.
     """
-    return _locate(bundle, prepared_frames(bundle, frames))
+    return _locate(bundle, in_rest_light(bundle, prepared_frames(bundle, frames)))
 
 
 def _locate(bundle: Bundle, images: Sequence[ImageArray]) -> Located:
-    """Find them in images of :func:`prepared_frames`."""
+    """Find them in images of :func:`in_rest_light`."""
     each = [locate_in(bundle, number, image) for number, image in enumerate(images)]
     position, merged = (
         np.stack(part)[bundle.spot_read_by, np.arange(len(bundle.spot_colour))]
@@ -429,7 +448,7 @@ def locate_in(
 
     Those that another camera reads are included, so that their paint is not assigned to a marker
     beside them. ``expected_px`` (n + r, 2) is where they are looked for, if not at rest.
-    The image is one of :func:`prepared_frames`.
+    The image is one of :func:`in_rest_light`.
     """
     camera = bundle.cameras[number]
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
@@ -511,7 +530,8 @@ def measure_frame(
     InputError
         See :func:`locate_markers`.
     """
-    images = prepared_frames(bundle, image_bgr)
+    given = prepared_frames(bundle, image_bgr)
+    images = in_rest_light(bundle, given)
     matched, switch_on, half_out = _locate(bundle, images)
     rest = bundle.spot_rest_px if rest_px is None else rest_px
     position = np.where(matched.merged[:, None], np.nan, matched.position_px)
@@ -526,7 +546,7 @@ def measure_frame(
         marked=marked,
         half_out=np.flatnonzero(half_out),
         blur_px=blurs_px(bundle, images, position[:count]),
-        light=light_changes(bundle, images, position[:count], switch_on | half_out),
+        light=light_changes(bundle, given, position[:count], switch_on | half_out),
     )
 
 
@@ -542,7 +562,7 @@ def with_edges(
     Parameters
     ----------
     images : sequence of (h, w, 3) uint8
-        One of each camera, of :func:`prepared_frames`.
+        One of each camera, of :func:`in_rest_light`.
     moved_px : (n + r, 2) float
         Shifts of the centroids of markers and reference marks.
     switch_on, half_out : (n,) bool
@@ -567,7 +587,7 @@ def with_edges(
 def blurs_px(
     bundle: Bundle, images: Sequence[ImageArray], position_px: FloatArray
 ) -> tuple[float, ...]:
-    """Blur of each camera's image, of :func:`prepared_frames`, with markers (n, 2) found there."""
+    """Blur of each camera's image, of :func:`in_rest_light`, with markers (n, 2) found there."""
     return tuple(
         focus.blur_px(image, position_px) if focus else np.nan
         for focus, image in zip(bundle.focus, images, strict=False)
@@ -579,7 +599,7 @@ def light_changes(
 ) -> tuple[LightChange | None, ...]:
     """Changes of light in each camera's image, by markers other than those (n,) with red tips.
 
-    Images and positions are as in :func:`blurs_px`.
+    Images are those of :func:`prepared_frames`, positions as in :func:`blurs_px`.
     """
     return tuple(
         check.change(image, position_px, red) if check else None

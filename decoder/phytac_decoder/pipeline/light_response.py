@@ -16,6 +16,7 @@ import numpy as np
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.decode import (
     Frames,
+    in_rest_light,
     locate_markers,
     one_frame_per_camera,
     prepared_frames,
@@ -94,7 +95,7 @@ def with_light_response(bundle: Bundle, rest_frames: Frames) -> Bundle:
             continue
         # Reference marks follow the markers.
         shift = matched.position_px - still
-        images = prepared_frames(bundle, disturbed)
+        images = in_rest_light(bundle, prepared_frames(bundle, disturbed))
         shift = with_edges(bundle, images, shift, off, off)[: len(off)]
         sound = ~matched.merged[: len(shift)] & (np.hypot(*shift.T) < SETTINGS.shift_max_px)
         for camera in range(len(frames)):

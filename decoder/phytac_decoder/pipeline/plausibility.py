@@ -56,6 +56,8 @@ def implausible(bundle: Bundle, found: ContactDetection, inverse_N: FloatArray) 
         return out
     force = np.array([contact.force_N for contact in found.contacts])
     sd = np.array([contact.sd_N for contact in found.contacts])
+    if not np.isfinite([force, sd]).all():
+        return ["forces that are not determined at all"]
     margin = np.minimum(SETTINGS.sds * sd, bundle.force_max_N)
     limit = SETTINGS.force_share * bundle.force_max_N
     if (force - np.minimum(SETTINGS.force_sds * sd, margin) > limit).any():
@@ -75,7 +77,7 @@ def implausible(bundle: Bundle, found: ContactDetection, inverse_N: FloatArray) 
         out.append(
             f"a sum of {total:.1f} N by the response tables and of {other:.1f} N by the compliance"
         )
-    if locator.noise.ratio is not None and found.reduced_chi2 > SETTINGS.chi2_max:
+    if locator.noise.fitted and found.reduced_chi2 > SETTINGS.chi2_max:
         out.append(
             f"markers are {np.sqrt(found.reduced_chi2):.1f} times their noise from where these "
             "contacts put them"

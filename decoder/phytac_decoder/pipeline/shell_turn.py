@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.camera_motion import MOUNTS, tabulate_camera_motion
-from phytac_decoder.estimation.contact_fit import PredictedNoise
+from phytac_decoder.estimation.contact_fit import MarkerNoise
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle import Bundle
@@ -170,12 +170,10 @@ def _locator(locator: ContactLocator, order: IntArray, turn: FloatArray) -> Cont
     if shear is not None:
         shear = replace(_places(shear, turn), shift_px=_pairs(shear.shift_px, order))
     places = replace(places, shift_px=_pairs(places.shift_px, order), pairs=pairs, shear=shear)
-    if noise.ratio is not None:
-        noise = replace(noise, ratio=_pairs(noise.ratio, order))
-    if noise.predicted:
-        still, moved = noise.predicted.still_px, noise.predicted.moved_px
-        predicted = PredictedNoise(still_px=_pairs(still, order), moved_px=_pairs(moved, order))
-        noise = replace(noise, predicted=predicted)
+    if noise.markers:
+        still, moved = noise.markers.still_px, noise.markers.moved_px
+        markers = MarkerNoise(still_px=_pairs(still, order), moved_px=_pairs(moved, order))
+        noise = replace(noise, markers=markers)
     return replace(locator, places=places, noise=noise)
 
 

@@ -20,6 +20,7 @@ from phytac_decoder.pipeline.decode import (
     Frames,
     blurs_px,
     corrected_shift,
+    in_rest_light,
     light_changes,
     locate_in,
     prepared_frames,
@@ -193,15 +194,16 @@ class Follower:
             not change; give the next frame. After three in a row the whole frame is searched.
         """
         bundle, given = self._bundle, prepared_frames(self._bundle, frames)
+        images = in_rest_light(bundle, given)
         seen = [
             camera.follow(frame, elapsed)
-            for camera, frame in zip(self._cameras, given, strict=True)
+            for camera, frame in zip(self._cameras, images, strict=True)
         ]
         position = self._read([item.position_px for item in seen])
         count = len(bundle.colour)
         switch_on = self._read([item.switch_on for item in seen])[:count]
         half_out = self._read([item.half_out for item in seen])[:count]
-        moved = with_edges(bundle, given, position - self.rest_px, switch_on, half_out)
+        moved = with_edges(bundle, images, position - self.rest_px, switch_on, half_out)
         koi, shift, marked = corrected_shift(bundle, switch_on, moved)
         return Followed(
             koi=koi,
@@ -211,7 +213,7 @@ class Follower:
             position_px=position[:count],
             paint=self._read([item.paint for item in seen])[:count],
             half_out=np.flatnonzero(half_out),
-            blur_px=blurs_px(bundle, given, position[:count]),
+            blur_px=blurs_px(bundle, images, position[:count]),
             light=light_changes(bundle, given, position[:count], switch_on | half_out),
             flags=tuple(flag for item in seen for flag in item.flags),
         )

@@ -12,6 +12,7 @@ from scipy.special import ndtri
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.decode import (
     confirmed_switches,
+    in_rest_light,
     locate_in,
     locate_markers,
     prepared_frames,
@@ -265,7 +266,7 @@ class ImagingModel:
             matched, bits, half_out = locate_markers(bundle, frames)
         except InputError as error:
             return MarkerReading.nothing(self.count, str(error))
-        images = prepared_frames(bundle, frames)
+        images = in_rest_light(bundle, prepared_frames(bundle, frames))
         moved = matched.position_px - rest.rest_px
         moved = with_edges(bundle, images, moved, bits, half_out)
         if self.confirm:
