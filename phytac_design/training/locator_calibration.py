@@ -191,8 +191,8 @@ def calibrate_locator(
     own = locator.noise.markers
     moved_px = own.moved_px if own else np.zeros(2 * samples.markers)
     markers, switched_px = estimate_marker_noise(seen, folds, moved_px)
-    usual_px = float(np.sqrt(np.mean(markers.still_px**2)))
-    noise = replace(plain.noise, centroid_px=usual_px, markers=markers, fitted=True)
+    may_px = locator.noise.centroid_px
+    noise = replace(plain.noise, centroid_px=may_px, markers=markers, fitted=True)
     if switched_px is not None:
         noise = replace(noise, switched_px=switched_px)
     plain = replace(plain, noise=noise)
@@ -229,7 +229,7 @@ def calibrate_locator(
         "stiffness": correction.stiffness,
         "gain": float(np.sqrt(np.mean(gain**2))),
         "uneven": field.enabled,
-        "noise_px": plain.noise.centroid_px,
+        "noise_px": float(np.sqrt(np.mean(plain.noise.each_px**2))),
         "switched_px": plain.noise.switched_px,
         "place_mm": plain.prior.place_mm,
         "spread": correction.spread,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.contact_fit import MarkerNoise
+from phytac_decoder.estimation.contact_fit import MarkerNoise, moved_share
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_design.datasets.samples import Samples, TouchRows
@@ -52,7 +52,8 @@ def test_stiffness_noise_and_prior_are_found() -> None:
     assert taught()[1]["noise_px"] == pytest.approx(NOISE_PX, rel=0.15)
     assert taught()[1]["place_mm"] == pytest.approx(PLACE_MM, rel=0.2)
     assert taught()[0].prior.moments_sd_mm2[0] == pytest.approx(1.4, rel=0.3)
-    assert taught()[0].noise.centroid_px == taught()[1]["noise_px"]
+    rms_px = np.sqrt(np.mean(np.square(taught()[0].noise.each_px)))
+    assert taught()[1]["noise_px"] == pytest.approx(rms_px)
 
 
 def test_new_contacts_are_read_better_by_far() -> None:
@@ -170,6 +171,24 @@ def test_noise_of_markers_that_move_is_told_apart() -> None:
     calm = drawn_shown(explained, (still_px * rng.normal(size=sd.shape)).reshape(explained.shape))
     found, _ = estimate_marker_noise(calm, cross_validation_folds(calm, 10), design_px)
     assert (found.moved_px < 0.3 * design_px).all()
+
+
+def test_noise_that_grows_with_motion_is_fitted_to_the_data() -> None:
+    even = np.ones(2 * len(MARKERS))
+    noise = MarkerNoise(still_px=0.02 * even, moved_px=0.04 * even)
+    design = replace(LOCATOR, noise=replace(LOCATOR.noise, markers=noise))
+    own = pressed(150, seed=4)
+    assert own.shift_px is not None
+    share = moved_share(own.shift_px)[:, :, None]
+    more = 0.1 * np.sqrt(share) * np.random.default_rng(8).normal(size=own.shift_px.shape)
+    for samples, grown in ((own, False), (replace(own, shift_px=own.shift_px + more), True)):
+        learnt, _ = calibrate_locator(design, samples, np.arange(150), force_max_N=25.0)
+        assert learnt.noise.fitted
+        assert learnt.noise.markers is not None
+        moved = float(np.sqrt(np.mean(learnt.noise.markers.moved_px**2)))
+        assert moved == pytest.approx(0.1, rel=0.25) if grown else moved < 0.04
+        # What a camera may have is still the design's.
+        assert learnt.noise.centroid_px == design.noise.centroid_px
 
 
 def test_few_samples_determine_the_stiffness_alone() -> None:

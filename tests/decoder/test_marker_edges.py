@@ -79,18 +79,30 @@ def test_shifts_below_a_pixel_are_not_drawn_to_whole_ones(shift: float) -> None:
     found, seen = edges._aligned(frame, np.arange(COUNT), 0.8 * moved, OFF)
     gain = np.sum(found * moved) / np.sum(moved**2)
     # Noise of 0.007 px in 117 markers is 1.5 % of 0.05 px.
-    assert gain == pytest.approx(1.0, abs=0.035 if shift < 0.1 else 0.02)
+    assert gain == pytest.approx(1.0, abs=0.035 if shift < 0.1 else 0.01)
     assert (seen == 1.0).all()
 
 
-def test_edges_out_of_focus_move_as_far(plain: Bundle) -> None:
+@pytest.mark.parametrize("blur_px", [0.6, 0.8, 1.0])
+@pytest.mark.parametrize("shift", [0.1, 0.3, 0.5, 1.0])
+def test_edges_out_of_focus_move_as_far(shift: float, blur_px: float) -> None:
+    rest = REST + np.random.default_rng(3).uniform(-0.5, 0.5, REST.shape)
+    edges = MarkerEdges.at_rest(draw(rest), MODEL, rest, AREA)
+    assert edges is not None
+    moved = np.tile([shift, -0.6 * shift], (COUNT, 1))
+    frame = cv2.GaussianBlur(draw(rest + moved, seed=1), (0, 0), blur_px)
+    found, _ = edges._aligned(frame, np.arange(COUNT), moved, OFF)
+    # By the sharp edges of the rest frame they would seem to move by a sixth less at 0.8 px.
+    limit = 0.02 if blur_px < 1.0 else 0.03
+    assert np.sum(found * moved) / np.sum(moved**2) == pytest.approx(1.0, abs=limit)
+
+
+def test_the_loss_by_blur_is_that_by_theory_where_nothing_shows_it(plain: Bundle) -> None:
     (edges,) = plain.edges
     assert edges is not None
-    moved = np.tile([0.3, -0.2], (COUNT, 1))
-    frame = cv2.GaussianBlur(draw(REST + moved, seed=1), (0, 0), 0.8)
-    found, _ = edges._aligned(frame, np.arange(COUNT), moved, OFF)
-    # By the sharp edges of the rest frame they would seem to move by a sixth less.
-    assert np.sum(found * moved) / np.sum(moved**2) == pytest.approx(1.0, abs=0.08)
+    assert edges.blur_loss > 0.1
+    flat = np.full_like(draw(REST), 128)
+    assert replace(edges, blur_loss=0.2)._blur_loss_in(flat) == 0.2
 
 
 def test_red_tips_do_not_move_edges(plain: Bundle) -> None:
@@ -108,10 +120,15 @@ def test_red_tips_do_not_move_edges(plain: Bundle) -> None:
 def test_blur_hardly_moves_edges_that_are_brighter_on_one_side() -> None:
     edges = MarkerEdges.at_rest(half_in_shade(draw(REST)), MODEL, REST, AREA)
     assert edges is not None
-    soft = cv2.GaussianBlur(half_in_shade(draw(REST, seed=1)), (0, 0), 0.8)
-    found, _ = edges._aligned(soft, np.arange(len(edges.ids)), np.zeros((len(edges.ids), 2)), OFF)
-    # 0.0126 px without the blur as an unknown; noise alone moves them by 0.007 px.
-    assert rms(found) < 0.012
+    soft = cv2.GaussianBlur(half_in_shade(draw(REST, seed=1)), (0, 0), 0.6)
+    start = np.zeros((len(edges.ids), 2))
+    # All markers are brighter on the same side, and their noise averages out.
+    unknown, ignored = (
+        rms(each._aligned(soft, np.arange(len(start)), start, OFF)[0].mean(axis=0))
+        for each in (edges, replace(edges, blur=0.0 * edges.blur))
+    )
+    assert unknown < 0.0025
+    assert unknown < 0.7 * ignored
 
 
 def test_tips_of_markers_without_edges_count_too() -> None:

@@ -1,18 +1,21 @@
 """Exposure and white balance that change after the rest frame move no marker."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline import light_response, tracker
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
 from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.white_balance import WhiteBalance
-from phytac_shapes.arrays import ImageArray
+from phytac_shapes.arrays import FloatArray, ImageArray
 from tests.decoder.test_calibrate_colours import LIGHTS, lit, plain_bundle, rms
 from tests.decoder.test_follow import COUNT, GREY, MODEL, OFF, REST, dent, draw
 from tests.refusals import refused
@@ -59,7 +62,17 @@ def test_markers_whose_edges_mix_with_the_wall_move_less() -> None:
     assert error < 0.5 * rms(measure_frame(plain, warm).shift_px - usual)
 
 
-def test_a_followed_frame_is_brought_back_too(bundle: Bundle) -> None:
+def test_a_followed_frame_is_brought_back_too(
+    bundle: Bundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    edges_seen: list[ImageArray] = []
+    with_edges = tracker.with_edges
+
+    def spied(of: Bundle, images: Sequence[ImageArray], *given: Any) -> FloatArray:
+        edges_seen.extend(images)
+        return with_edges(of, images, *given)
+
+    monkeypatch.setattr(tracker, "with_edges", spied)
     warm = lit(draw(PLACE, BITS, seed=2), LIGHTS["a stop down and warm"])
     shifts = []
     for frame in (draw(PLACE, BITS, seed=2), warm):
@@ -69,6 +82,9 @@ def test_a_followed_frame_is_brought_back_too(bundle: Bundle) -> None:
         assert seen.koi.tolist() == np.flatnonzero(BITS).tolist()
         shifts.append(seen.shift_px)
     assert rms(shifts[1] - shifts[0]) < 0.012
+    for image in edges_seen:
+        wall = np.median(image.reshape(-1, 3), axis=0)
+        assert wall == pytest.approx(np.array(GREY), abs=2.0)
 
 
 def test_frames_of_the_same_light_are_left_as_they_are(bundle: Bundle) -> None:
@@ -95,6 +111,31 @@ def test_changes_are_measured_by_channel_on_the_wall(bundle: Bundle) -> None:
     shaded = draw(PLACE, BITS, seed=2).astype(np.float64)
     shaded[:, : shaded.shape[1] // 3] *= 0.6
     assert balance.change(shaded.astype(np.uint8)) == pytest.approx(np.ones(3), abs=0.02)
+
+
+def test_clipped_markers_are_seen_in_the_frame_as_it_is(bundle: Bundle) -> None:
+    """A wall that is not clipped makes the frame darker, and the markers' paint with it."""
+    (light,) = measure_frame(bundle, lit(draw(PLACE, seed=2), (1.25, 1.25, 1.25))).light
+    assert light is not None
+    assert light.beyond_range == pytest.approx(1.05, abs=0.03)
+
+
+def test_the_response_to_light_is_measured_as_frames_are_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen: list[ImageArray] = []
+    with_edges = light_response.with_edges
+
+    def spied(of: Bundle, images: Sequence[ImageArray], *given: Any) -> FloatArray:
+        seen.extend(images)
+        return with_edges(of, images, *given)
+
+    monkeypatch.setattr(light_response, "with_edges", spied)
+    calibrate_rest(plain_bundle().with_mount("bench"), draw(REST))
+    assert len(seen) == 2
+    for image in seen:
+        wall = np.median(image.reshape(-1, 3), axis=0)
+        assert wall == pytest.approx(np.array(GREY), abs=2.0)
 
 
 def test_without_a_wall_nothing_is_measured() -> None:

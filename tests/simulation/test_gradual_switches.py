@@ -98,8 +98,13 @@ def test_the_camera_counts_them_as_out_at_the_law_s_force(
     assert not read.bits[~SOME].any()
 
 
-def test_points_have_what_a_tip_half_out_covers(imaging: ImagingModel, law: SwitchLaw) -> None:
-    still = np.zeros((COUNT, 6))
+def test_points_have_what_a_tip_half_out_covers(
+    imaging: ImagingModel, law: SwitchLaw, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    still, rest = np.zeros((COUNT, 6)), imaging.at_rest
+    # Edges are read where nothing covers them.
+    by_colour = replace(rest, bundle=replace(rest.bundle, edges=()))
+    monkeypatch.setattr(imaging, "rest", by_colour)
     zero = imaging.read(imaging.frame(still, np.zeros(COUNT)))
     for share in (0.8, 1.1):
         out = shown(law, share)

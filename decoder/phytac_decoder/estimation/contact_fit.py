@@ -132,7 +132,7 @@ class ShiftNoise:
     Attributes
     ----------
     centroid_px : float
-        Usual standard deviation of a coordinate; where that of each marker is predicted, only that
+        Usual standard deviation of a coordinate; where that of each marker is known, only that
         which a camera may have.
     share : float
         Further standard deviation as a share of the predicted shift: the tables are not exact.
@@ -173,9 +173,7 @@ class ShiftNoise:
     @property
     def chi2_allowed(self) -> float:
         """Reduced χ² of the largest noise that a camera may have."""
-        if self.markers is None or self.fitted:
-            return 1.0
-        return self.markers.chi2_at(self.centroid_px)
+        return self.markers.chi2_at(self.centroid_px) if self.markers else 1.0
 
     def variance(
         self, shift_px: FloatArray, pressed_px: FloatArray, scale: float = 1.0
@@ -190,12 +188,11 @@ class ShiftNoise:
 
     def scaled(self, factor: float) -> "ShiftNoise":
         """Return noise that is larger by a factor."""
-        markers = self.markers
-        if markers:
-            markers = MarkerNoise(
-                still_px=factor * markers.still_px, moved_px=factor * markers.moved_px
-            )
-        return replace(self, centroid_px=factor * self.centroid_px, markers=markers)
+        if self.markers is None:
+            return replace(self, centroid_px=factor * self.centroid_px)
+        still, moved = self.markers.still_px, self.markers.moved_px
+        markers = MarkerNoise(still_px=factor * still, moved_px=factor * moved)
+        return replace(self, markers=markers)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -106,20 +106,11 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     """
     frames = prepared_frames(bundle, rest_frames)
     lit = oriented(replace(bundle, colours=calibrated_colours(bundle, frames)), frames)
-    shown, count, marks_px = [], len(bundle.colour), lit.marks.rest_px
-    weights, focus, light, balance, edges = [], [], [], [], []
+    shown, count, marks_px, weights = [], len(bundle.colour), lit.marks.rest_px, []
     for number, frame in enumerate(frames):
         old = lit.shown_by(number)
         matched, blobs = locate_in(lit, number, frame)
         weights.append(blobs.usual_weight(len(lit.colours.names)))
-        area = np.where(
-            lit.read_by == number, areas_px(matched, blobs, lit.spot_colour)[:count], np.nan
-        )
-        focus.append(FocusCheck.at_rest(frame, matched.position_px[:count], area))
-        own_px = np.where(np.isfinite(area)[:, None], matched.position_px[:count], np.nan)
-        light.append(LightCheck.at_rest(frame, own_px))
-        balance.append(WhiteBalance.at_rest(frame, lit.colours, own_px))
-        edges.append(MarkerEdges.at_rest(frame, lit.colours, own_px, area))
         moved = np.where(
             matched.found[:, None], matched.position_px - lit.spots_shown_by(number), 0
         )
@@ -138,10 +129,6 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
         lit,
         colours=replace(lit.colours, usual_weight=np.stack(weights)),
         shown=tuple(shown) if bundle.shown else (),
-        focus=tuple(focus),
-        light=tuple(light),
-        white_balance=tuple(balance),
-        edges=tuple(edges),
         marks=replace(lit.marks, rest_px=marks_px),
         rest_px=read([item.rest_px for item in shown]),
         tips=TipModel(
@@ -152,7 +139,38 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
             gradual=lit.tips.gradual,
         ),
     )
+    calibrated = with_pictures_at_rest(calibrated, frames)
     return with_light_response(for_this_print(calibrated), rest_frames)
+
+
+def with_pictures_at_rest(bundle: Bundle, frames: Sequence[ImageArray]) -> Bundle:
+    """Bundle that compares focus, light and edges of each frame with those of rest frames.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        With the colours and positions of these.
+    frames : sequence of (h, w, 3) uint8
+        One of each camera, of :func:`.decode.prepared_frames`.
+    """
+    count, focus, light, balance, edges = len(bundle.colour), [], [], [], []
+    for number, frame in enumerate(frames):
+        matched, blobs = locate_in(bundle, number, frame)
+        area = areas_px(matched, blobs, bundle.spot_colour)[:count]
+        area = np.where(bundle.read_by == number, area, np.nan)
+        place_px = matched.position_px[:count]
+        own_px = np.where(np.isfinite(area)[:, None], place_px, np.nan)
+        focus.append(FocusCheck.at_rest(frame, place_px, area))
+        light.append(LightCheck.at_rest(frame, own_px))
+        balance.append(WhiteBalance.at_rest(frame, bundle.colours, own_px))
+        edges.append(MarkerEdges.at_rest(frame, bundle.colours, own_px, area))
+    return replace(
+        bundle,
+        focus=tuple(focus),
+        light=tuple(light),
+        white_balance=tuple(balance),
+        edges=tuple(edges),
+    )
 
 
 def calibrated_colours(bundle: Bundle, frames: Sequence[ImageArray]) -> ColourModel:

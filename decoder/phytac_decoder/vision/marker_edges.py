@@ -11,7 +11,7 @@ of the two where markers hardly move. Edges do not move exactly as the centroid 
 tables of the decoder describe: where other receptors hide paint, or where a receptor turns.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -200,11 +200,10 @@ class MarkerEdges:
         )
         weaker = float(np.sum(weighted * _gradient(blur)[pixel[1], pixel[0]]))
         ids = shown[alone]
-        offset = np.where(weight > 0.0, np.abs(pixel - place_px[ids].T[:, :, None]), 0.0)
-        return cls(
+        found = cls(
             ids=ids[clear],
             rest_px=place_px,
-            reach_px=offset.max(axis=(0, 2))[clear],
+            reach_px=_reach_px(pixel, weight, place_px[ids])[clear],
             pixel=pixel[:, clear],
             level=level[pixel[1], pixel[0]][clear],
             weight=weight[clear],
@@ -216,6 +215,30 @@ class MarkerEdges:
             blur_loss=-weaker / total,
             colours=colours,
         )
+        return replace(found, blur_loss=found._blur_loss_in(frame))
+
+    def _blur_loss_in(self, frame: ImageArray) -> float:
+        """``blur_loss`` by which edges of a rest frame that is moved and blurred move as they do.
+
+        Theory is for little blur, of which a part is taken for a change of light: on ``handle`` it
+        gives three quarters of that.
+        """
+        share_min, share_max = 0.5, 3.0  # of theory, however faint the edges
+        moved_px, blur_px2 = np.array([0.3, 0.3]), 0.5
+        still = np.zeros((len(self.ids), 2))
+        to = np.column_stack([np.eye(2), moved_px])
+        size = (frame.shape[1], frame.shape[0])
+        moved = np.asarray(cv2.warpAffine(frame, to, size, flags=cv2.INTER_LANCZOS4))
+        blurred = np.asarray(cv2.GaussianBlur(moved, (0, 0), np.sqrt(blur_px2)))
+
+        def seen(edges: MarkerEdges, image: ImageArray) -> float:
+            rows, bare = np.arange(len(still)), np.zeros(len(still), dtype=np.bool_)
+            return float(np.median(edges._aligned(image, rows, still, bare)[0] @ moved_px))
+
+        without, by_theory = seen(replace(self, blur_loss=0.0), blurred), seen(self, blurred)
+        wanted, gained = seen(self, moved) - without, by_theory - without
+        share = wanted / gained if gained > 1e-3 else 1.0
+        return self.blur_loss * float(np.clip(share, share_min, share_max))
 
     def combined(
         self, frame: ImageArray, shift_px: FloatArray, red: BoolArray, on: BoolArray
@@ -315,6 +338,8 @@ class MarkerEdges:
         change -= added * blur
         pull = np.einsum("mki,mk->mi", weighted, change)
         step = -np.einsum("mij,mj->mi", motion_per_change, pull.astype(np.float64))
+        # Motion looks like blur to second order.
+        added -= 0.5 * float(np.mean(np.sum(step**2, axis=1)))
         step *= 1.0 + self.blur_loss * max(added, 0.0)
         step = np.clip(step, -SETTINGS.step_far_px, SETTINGS.step_far_px)
         # The change of luminance is less than in proportion to the shift.
@@ -348,6 +373,12 @@ class MarkerEdges:
                 columns = np.clip(x + across, 0, width - 1)
                 out |= self.colours.classify(frame[rows, columns])[0] == number
         return out
+
+
+def _reach_px(pixel: NDArray[np.int32], weight: Floats32, place_px: FloatArray) -> FloatArray:
+    """How far the pixels (2, m, k) that count lie from places (m, 2), in x or y."""
+    offset = np.where(weight > 0.0, np.abs(pixel - place_px.T[:, :, None]), 0.0)
+    return np.asarray(offset.max(axis=(0, 2)))
 
 
 def _luminance(frame: ImageArray) -> Floats32:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline.colour_calibration import with_pictures_at_rest
 from phytac_decoder.pipeline.decode import (
     confirmed_switches,
     in_rest_light,
@@ -93,7 +94,7 @@ class RestObservation(CentroidNoise):
     Attributes
     ----------
     bundle : Bundle
-        The design's marker detector, set to where this instance's markers are.
+        The design's marker detector, set to where this instance's markers are and to their edges.
     """
 
     bundle: Bundle
@@ -423,9 +424,8 @@ class ImagingModel:
 
         try:
             bundle = self._set_to(draw())
-            found = np.stack(
-                [locate_markers(bundle, draw())[0].position_px for _ in range(rest_frames)]
-            )
+            drawn = [draw() for _ in range(rest_frames)]
+            found = np.stack([locate_markers(bundle, frames)[0].position_px for frames in drawn])
             clean = tuple(
                 self._exposed(simulated, light, 1.0, None)
                 for simulated, light in zip(self.cameras, lights, strict=True)
@@ -433,12 +433,17 @@ class ImagingModel:
             before = locate_markers(bundle, clean)[0].position_px
             grid = self._grid(bundle, before)
             after = locate_markers(bundle, self.frame(still, ~off))[0].position_px
+            # Points are of the paint alone, and so is what is measured for them.
+            mean = tuple(
+                np.rint(np.mean(each, axis=0)).astype(np.uint8) for each in zip(*drawn, strict=True)
+            )
+            read_by = with_pictures_at_rest(bundle, prepared_frames(bundle, mean))
         except InputError as error:
             return str(error)
         noise = found.std(axis=0, ddof=1)
         sure = np.linalg.norm(noise, axis=1) <= rest_noise_max_px
         return RestObservation(
-            bundle=bundle,
+            bundle=read_by,
             rest_px=np.where(sure[:, None], found.mean(axis=0), np.nan),
             noise_px=noise,
             grid_px=grid,
