@@ -61,6 +61,10 @@ class EdgeSettings:
         centroid within this distance, or where the own tip is out within the last.
     calm_px, calm_min : float, int
         The centroid's error is measured on markers that move by less, if there are so many.
+    around : int
+        Markers, itself among them, to whose changes of brightness a plane is fitted.
+    brightness : (float, float)
+        Least and largest change of brightness of some markers against the others.
     noise, noise_max_px : float
         Markers do not count whose shift would have more noise than the last with so many grey
         levels of noise in each pixel: paint as bright as the wall shows no edge.
@@ -89,6 +93,8 @@ class EdgeSettings:
     tip_away_max_px: float = 1.5
     calm_px: float = 0.3
     calm_min: int = 20
+    around: int = 9
+    brightness: tuple[float, float] = (0.5, 2.0)
     noise: float = 1.5
     noise_max_px: float = 0.03
     sd_px: float = 0.01
@@ -332,7 +338,10 @@ class MarkerEdges:
             weight = self.weight[rows[some]]
             seen[some] = (weight * bare).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
         rest = self._taken(self.level, rows)
-        change = _in_the_light_of(rest, level.ravel()[y * width + x], flat) - rest
+        now = level.ravel()[y * width + x]
+        offset, factor = self._brightness(rows, rest, now, flat)
+        now = (now - offset) * factor
+        change = _in_the_light_of(rest, now, flat) - rest
         # Less focus than at rest, of all edges alike, is one unknown of the frame, px².
         added = float(np.vdot(change, blur)) / max(float(np.vdot(blur, blur)), 1e-9)
         change -= added * blur
@@ -345,6 +354,58 @@ class MarkerEdges:
         # The change of luminance is less than in proportion to the shift.
         step *= 1.0 + self.cubic * np.sum(step**2, axis=1, keepdims=True)
         return step, seen
+
+    def _brightness(
+        self, rows: IntArray, rest: Floats32, now: Floats32, flat: Floats32
+    ) -> tuple[np.float32, Floats32]:
+        """Offset of the picture's luminance, and the factor (m, k) by which it has darkened.
+
+        It is the plane through those of the marker and of the ones around it: the luminance beside
+        one alone changes as it moves.
+        """
+        own, total = np.full(len(self.ids), np.nan), flat.sum(axis=1)
+        seen = total > 1e-6  # red may cover a marker altogether
+        total = np.maximum(total, 1e-6)
+        mean_rest, mean_now = (np.einsum("mk,mk->m", flat, each) / total for each in (rest, now))
+        apart_rest, apart_now = rest - mean_rest[:, None], now - mean_now[:, None]
+        spread_rest, spread_now = (
+            np.einsum("mk,mk,mk->m", flat, each, each) for each in (apart_rest, apart_now)
+        )
+        contrast = np.sqrt(spread_now / np.maximum(spread_rest, 1e-9))
+        offset = float(np.median((mean_now - contrast * mean_rest)[seen])) if seen.any() else 0.0
+        own[rows[seen]] = (mean_rest / np.maximum(mean_now - offset, 1e-6))[seen]
+        near, planes = self._around
+        around, planes = own[near[rows]], planes[rows]
+        known = np.isfinite(around)
+        # As bright as at rest where none of them is seen.
+        mean = np.where(known, around, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+        mean[~known.any(axis=1)] = 1.0
+        apart = np.where(known, around - mean[:, None], 0.0)
+        level, along_x, along_y = np.einsum("mpa,ma->pm", planes, apart).astype(np.float32)
+        out = (level + mean.astype(np.float32))[:, None]
+        x, y = (self._taken(each, rows) for each in self._offset)
+        out = out + along_x[:, None] * x + along_y[:, None] * y
+        factor = np.asarray(np.clip(out, *SETTINGS.brightness), dtype=np.float32)
+        return np.float32(offset), factor
+
+    @cached_property
+    def _around(self) -> tuple[IntArray, FloatArray]:
+        """Each marker and its nearest ones (m, a), and what fits planes (m, 3, a) to their values.
+
+        A plane has a level at the marker, and slopes along x and y per px.
+        """
+        place = self.rest_px[self.ids]
+        count = min(SETTINGS.around, len(place))
+        near = np.argsort(squared_distances(place, place), axis=1, kind="stable")[:, :count]
+        apart = place[near] - place[:, None]
+        design = np.concatenate([np.ones((*near.shape, 1)), apart], axis=2)
+        return near, np.linalg.pinv(design, rcond=1e-6)
+
+    @cached_property
+    def _offset(self) -> tuple[Floats32, Floats32]:
+        """Columns and rows (m, k) of all pixels from their markers' places, px."""
+        x, y = self.pixel - self.rest_px[self.ids].T[:, :, None]
+        return x.astype(np.float32), y.astype(np.float32)
 
     @cached_property
     def _precomputed(self) -> tuple[Floats32, Floats32, Floats32, FloatArray]:
