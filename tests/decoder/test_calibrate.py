@@ -157,7 +157,7 @@ def test_gains_and_noise_at_the_ends(scale: float, noise: float) -> None:
     assert np.median(found.still_px) == pytest.approx(max(noise, 1e-4), rel=0.4)
 
 
-def test_noise_of_markers_that_move_is_told_apart() -> None:
+def test_noise_of_moving_markers_is_distinguished() -> None:
     rng = np.random.default_rng(4)
     design_px, still_px = rng.uniform(0.02, 0.06, 12), rng.uniform(0.01, 0.03, 12)
     true = MarkerNoise(still_px=still_px, moved_px=2.0 * design_px)
