@@ -33,6 +33,7 @@ class WhiteBalance:
 
     pixels: ClassVar[int] = 600
     pixels_min: ClassVar[int] = 100
+    """Pixels that are compared, and how many a rest frame must have to choose them from."""
     margin_px: ClassVar[int] = 3
     """Distance from paint. Markers that move farther are few: the median does not see them."""
     dark_level: ClassVar[int] = 20
