@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import ModuleType
 from typing import Any
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.pipeline import light_response, tracker
+from phytac_decoder.pipeline import decode, light_response, tracker
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
 from phytac_decoder.pipeline.tracker import Follower
@@ -36,6 +37,19 @@ def bundle() -> Bundle:
 
 def without(bundle: Bundle) -> Bundle:
     return replace(bundle, white_balance=())
+
+
+def images_for_edges(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> list[ImageArray]:
+    """Images in which a module reads edges from now on."""
+    seen: list[ImageArray] = []
+    with_edges = decode.with_edges
+
+    def spied(of: Bundle, images: Sequence[ImageArray], *given: Any) -> FloatArray:
+        seen.extend(images)
+        return with_edges(of, images, *given)
+
+    monkeypatch.setattr(module, "with_edges", spied)
+    return seen
 
 
 @pytest.mark.parametrize("light", [*LIGHTS, "much warmer"])
@@ -65,14 +79,7 @@ def test_markers_whose_edges_mix_with_the_wall_move_less() -> None:
 def test_a_followed_frame_is_brought_back_too(
     bundle: Bundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    edges_seen: list[ImageArray] = []
-    with_edges = tracker.with_edges
-
-    def spied(of: Bundle, images: Sequence[ImageArray], *given: Any) -> FloatArray:
-        edges_seen.extend(images)
-        return with_edges(of, images, *given)
-
-    monkeypatch.setattr(tracker, "with_edges", spied)
+    edges_seen = images_for_edges(monkeypatch, tracker)
     warm = lit(draw(PLACE, BITS, seed=2), LIGHTS["a stop down and warm"])
     shifts = []
     for frame in (draw(PLACE, BITS, seed=2), warm):
@@ -123,14 +130,7 @@ def test_clipped_markers_are_seen_in_the_frame_as_it_is(bundle: Bundle) -> None:
 def test_the_response_to_light_is_measured_as_frames_are_read(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    seen: list[ImageArray] = []
-    with_edges = light_response.with_edges
-
-    def spied(of: Bundle, images: Sequence[ImageArray], *given: Any) -> FloatArray:
-        seen.extend(images)
-        return with_edges(of, images, *given)
-
-    monkeypatch.setattr(light_response, "with_edges", spied)
+    seen = images_for_edges(monkeypatch, light_response)
     calibrate_rest(plain_bundle().with_mount("bench"), draw(REST))
     assert len(seen) == 2
     for image in seen:

@@ -45,9 +45,9 @@ class LocatorSettings:
     """Settings of the search for contacts, chosen on simulated contacts and virtual prints."""
 
     separate_max: int = 20
-    """Most contacts into which groups of switches are divided: two hands have half as many fingers.
-    More are no contacts (in a frame of another colour than the rest frame half of all switches may
-    seem on), and a fit of 40 takes a second."""
+    """Most contacts into which groups of switches are divided: twice the fingers of two hands. More
+    are an error of the picture (in another light than the rest frame's, half of all switches may
+    seem on), and a fit of 40 takes a second. Such groups are fitted as one contact each."""
     unswitched_max: int = 4
     """Largest number of contacts without a switch."""
     chi2_drop: float = 40.0

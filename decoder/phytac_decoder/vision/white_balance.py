@@ -1,7 +1,7 @@
 """Exposure and white balance of each frame, brought back to those of the rest frame.
 
 A camera that changes its white balance multiplies each channel by another factor (in a picture
-with a power law of brightness, too). Where paint of different colours meets on a pixel, centroids
+with a power law of brightness, too). Where pixels show paint and wall together, centroids of colour
 then move: by 0.06 px RMS on the markers of ``handle`` if red fades by a tenth. The factors are
 measured on the bare wall, which is most of the picture, and divided out.
 """

@@ -433,7 +433,8 @@ class ImagingModel:
             before = locate_markers(bundle, clean)[0].position_px
             grid = self._grid(bundle, before)
             after = locate_markers(bundle, self.frame(still, ~off))[0].position_px
-            # Points are of the paint alone, and so is what is measured for them.
+            # Frames are read by a bundle that knows the markers' edges. Points are of the paint
+            # alone, and so is the noise above, which is theirs.
             mean = tuple(
                 np.rint(np.mean(each, axis=0)).astype(np.uint8) for each in zip(*drawn, strict=True)
             )
