@@ -7,6 +7,8 @@ series, which is summed (Padé approximant).
 """
 
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +33,17 @@ are."""
 SUMMED_MAX = 0.5
 """Share of the stiffness that the greatest force takes away by a geometric series, up to which that
 is summed."""
+
+
+class _BeyondLinear(NamedTuple):
+    """Motions (6N,) of one disc at the forces.
+
+    Whether that is beyond the expansion, and whether large displacements were solved for it.
+    """
+
+    motions: list[FloatArray]
+    beyond: bool
+    solved: bool
 
 
 class DiscResponse:
@@ -92,7 +105,18 @@ class DiscResponse:
             If linear theory fails.
         """
         loads, linear = self.linear(uv, radius_mm)
-        return [self._motions(loads[:, k], linear[:, k].copy()) for k in range(len(uv))]
+        each = [linear[:, k].copy() for k in range(len(uv))]
+        if self.orders == 1:
+            return [[self.kinematics.linear(first)] for first in each]
+        found = self.shell.together(
+            [partial(self._beyond_linear, loads[:, k], first) for k, first in enumerate(each)]
+        )
+        self.beyond += sum(one.beyond for one in found)
+        self.solved += sum(one.solved for one in found)
+        return [
+            [self.kinematics.linear(first), *map(self.kinematics.large, one.motions)]
+            for first, one in zip(each, found, strict=True)
+        ]
 
     def linear(self, uv: FloatArray, radius_mm: float) -> tuple[FloatArray, FloatArray]:
         """Loads (6N, c) of a newton on discs at places (c, 2), and their linear motions (6N, c).
@@ -141,22 +165,18 @@ class DiscResponse:
     def _solve(self, loads: FloatArray) -> FloatArray:
         return self.model.solve(loads).motion.reshape(loads.shape)
 
-    def _motions(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
+    def _beyond_linear(self, load: FloatArray, first: FloatArray) -> _BeyondLinear:
+        """Motions at the forces, by a load (6N,) of a newton and its linear motion (6N,)."""
         # The same from which on a sensor is beyond the expansion.
         series_error_max = LARGE_SOLVED_ABOVE[4]
-        out = [self.kinematics.linear(first)]
-        if self.orders == 1:
-            return out
         series = self._series(load, first)
         gap = self._gap(load, first, series) if self.orders in LARGE_SOLVED_ABOVE else 0.0
-        # A gap that is no number holds nowhere.
-        self.beyond += not gap <= series_error_max
+        large: list[FloatArray] = []
         if self.orders in LARGE_SOLVED_ABOVE and not gap <= LARGE_SOLVED_ABOVE[self.orders]:
             large = self._large(load, first)
-            if large:
-                self.solved += 1
-                series = large
-        return out + [self.kinematics.large(motion) for motion in series]
+        # A gap that is no number holds nowhere.
+        beyond = not gap <= series_error_max
+        return _BeyondLinear(motions=large or series, beyond=beyond, solved=bool(large))
 
     def _series(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
         """Motions (6N,) at the forces by Koiter's expansion; none where it says nothing."""

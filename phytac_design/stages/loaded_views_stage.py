@@ -1,7 +1,7 @@
 """Visibility of the markers when the sensor is pressed."""
 
 from dataclasses import asdict, dataclass
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,9 @@ from phytac_design.optics.render_scene import build_scene
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import decoder_shell
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+
+SOLVED_TOGETHER = 8
+"""Presses whose large displacements are solved together."""
 
 
 class PressedShell:
@@ -46,11 +49,13 @@ class PressedShell:
             return forces[None, :, None, None] * np.moveaxis(linear, 2, 0)[:, None], []
         solver, done = QuasiNewtonSolver(self.model), []
         loads = (unit[:, :, None] * forces).reshape(len(unit), -1)
-        for load in loads.T:
-            done.append(solver.solve(load, tolerance=tolerance))
-            context.progress(
-                f"under load: {len(done)} of {loads.shape[1]} large-displacement solves"
+        count = loads.shape[1]
+        for start in range(0, count, SOLVED_TOGETHER):
+            part = loads[:, start : start + SOLVED_TOGETHER]
+            done += solver.together(
+                [partial(solver.solve, load, tolerance=tolerance) for load in part.T]
             )
+            context.progress(f"under load: {len(done)} of {count} large-displacement solves")
         motions = np.full((len(done), context.markers.count, 6), np.nan)
         for k, sample in enumerate(done):
             if sample.motion is not None:

@@ -1,6 +1,7 @@
 """The accelerated iteration: the states of Newton's method, and nothing soft or snapped unseen."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from phytac_design.mechanics.large.quasi_newton import (
     LoadCaseSolution,
     QuasiNewtonSolver,
 )
+from phytac_design.mechanics.large.reference_configuration import ReferenceShell
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
@@ -110,6 +112,28 @@ def test_the_end_is_newtons(shell: tuple[ShellMesh, QuasiNewtonSolver], name: st
     assert gap < 3.0 * found.error + 1e-9
     turned = moved(found)[:, 3:] - truth[:, 3:]
     assert np.abs(turned).max() < 3e-4 * np.abs(moved(found)[:, 3:]).max()
+
+
+def test_loads_solved_together_move_as_each_alone(
+    shell: tuple[ShellMesh, QuasiNewtonSolver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh, solver = shell
+    loads = [pressed(mesh, [[20.0 + 5.0 * k, 1.0 + k]], [4.0 + k], 4.0) for k in range(4)]
+    alone = [solver.solve(load) for load in loads]
+    together = []
+    inner = ReferenceShell._solve
+
+    def counted(self: ReferenceShell, forces: np.ndarray) -> np.ndarray:
+        together.append(1 if forces.ndim == 1 else forces.shape[1])
+        return inner(self, forces)
+
+    monkeypatch.setattr(ReferenceShell, "_solve", counted)
+    found = solver.together([partial(solver.solve, load) for load in loads])
+    for one, other in zip(found, alone, strict=True):
+        assert (one.status, one.iterations) == (other.status, other.iterations)
+        assert apart(moved(one), moved(other)) < 1e-10
+    assert max(together) == 4
+    assert len(together) < 0.5 * sum(together)
 
 
 @pytest.mark.parametrize(

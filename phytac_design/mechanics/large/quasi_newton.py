@@ -14,10 +14,10 @@ large, the lowest eigenvalue is small or the result deviates from the path: it t
 long.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
+T = TypeVar("T")
 LINEAR_ERROR_SAFETY = 1.5
 """Linear theory is used where this times its estimated error is within the tolerance."""
 
@@ -161,6 +162,10 @@ class QuasiNewtonSolver:
     def _shell(self) -> ReferenceShell:
         """Made when first needed; linear motion does not need it."""
         return ReferenceShell(self.model)
+
+    def together(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
+        """Return the results of tasks that call other methods, whose solves are done together."""
+        return self._shell.together(tasks)
 
     def linear(self, load: Any) -> FloatArray:
         """Linear motion (6N,) under a load (6N,).

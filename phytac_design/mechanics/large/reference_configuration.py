@@ -1,14 +1,18 @@
 """A shell from its state at rest: forces, tangent products, solves, Koiter's expansion."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
+from phytac_design.mechanics.large.shared_solves import shared, side_by_side
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,10 +78,19 @@ class ReferenceShell:
         return np.asarray(self._random * np.repeat(weight, 6))
 
     def solve_reference(self, forces: FloatArray) -> FloatArray:
-        """K₀⁻¹ times forces (6N,)."""
+        """K₀⁻¹ times forces (6N,); in :meth:`together` with those of others."""
+        return shared(self._solve, forces)
+
+    def together(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
+        """Return the results of tasks, whose solves with the factor at rest are done together."""
+        return side_by_side(self._solve, tasks)
+
+    def _solve(self, forces: FloatArray) -> FloatArray:
+        """K₀⁻¹ times forces (6N,) or (6N, c)."""
         factor = self.model.factor
+        scale = factor.scale if forces.ndim == 1 else factor.scale[:, None]
         out = np.zeros_like(forces)
-        out[self._free] = factor.scale * factor.backend.solve(factor.scale * forces[self._free])
+        out[self._free] = scale * factor.backend.solve(scale * forces[self._free])
         return out
 
     def reference_force(self, motion: FloatArray) -> FloatArray:
