@@ -24,6 +24,7 @@ from scipy.sparse.linalg import splu
 from phytac_decoder.mechanics.membrane_stretching import BergerWall
 from phytac_decoder.mechanics.response_table import FLAT_COSINE_DROP, ResponseTable
 from phytac_design.mechanics.large.corotational import Corotational
+from phytac_design.mechanics.shell.factor import SUPERLU
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -99,7 +100,7 @@ class StretchedWall:
 
     def at(self, stretch: float) -> Callable[[FloatArray], FloatArray]:
         """What makes linear motion (6N, c) of loads (6N, c), of the wall at a stretch."""
-        solved = splu((self._still + stretch * self._change).tocsc())
+        solved = splu((self._still + stretch * self._change).tocsc(), **SUPERLU)
 
         def moved(loads: FloatArray) -> FloatArray:
             out = np.zeros_like(loads)
