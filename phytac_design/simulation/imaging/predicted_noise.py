@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
-from phytac_design.optics.frame_renderer import add_noise, render_frame
+from phytac_design.optics.frame_renderer import add_noise, quick_samples, render_frame
 from phytac_design.optics.render_scene import RenderScene
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
@@ -60,12 +60,14 @@ def predict_noise(
         return detect(add_noise(frame, noise_std, rng))
 
     still = np.stack([noisy(clean) for _ in range(SETTINGS.frames)])
-    turned = []
+    turned, samples = [], quick_samples(camera)  # as frames that are decoded
     for _ in range(SETTINGS.frames):
         angles = rng.uniform(-1.0, 1.0, 3) * SETTINGS.turn_px / camera.lens.fx_px
         other = replace(camera, rotation=camera.rotation @ cv2.Rodrigues(angles)[0].T)
         moved = other.project(point_mm) - camera.project(point_mm)
-        turned.append(noisy(render_frame(scene, other)) - still.mean(axis=0) - moved)
+        turned.append(
+            noisy(render_frame(scene, other, samples=samples)) - still.mean(axis=0) - moved
+        )
     single = _smooth(still.var(axis=0, ddof=1), neighbours)
     both = _smooth(np.mean(np.square(turned), axis=0), neighbours)
     added = np.maximum(both - (1.0 + 1.0 / SETTINGS.frames) * single, 0.0)
