@@ -46,7 +46,7 @@ def random_setting(number: int) -> Accuracy:
         place_orders=int(one(1, 3, 4)),
         press_places=int(one(8, 20, 40)),
         press_tolerance=one(1.0, 1.0, 0.05),
-        print_tools=bool(one(0, 1)),
+        tools=bool(one(0, 1)),
         step=bool(one(0, 1)),
     )
 

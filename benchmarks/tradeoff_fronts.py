@@ -75,7 +75,7 @@ def committed_fronts() -> dict[str, list[MeasuredSetting]]:
         count = len(data["settings"])
         out[design] = [
             MeasuredSetting(
-                settings=_with_step(dict(zip(data["settings"], row, strict=False))),
+                settings=_by_today(dict(zip(data["settings"], row, strict=False))),
                 seconds=row[count],
                 cpu_s=row[count + 1],
                 peak_MB=row[count + 2],
@@ -86,12 +86,15 @@ def committed_fronts() -> dict[str, list[MeasuredSetting]]:
     return out
 
 
-def _with_step(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings from before ``step`` was one of them: as in the grid, it goes with the checks.
+def _by_today(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings by their names of today: ``tools`` was ``print_tools``, and meant checks alone.
 
-    Their seconds have those of STEP files in all of them.
+    From before ``step`` was one of them: as in the grid, it goes with these. The seconds have those
+    of molds and documents, and then of STEP files, in all of them.
     """
-    return {"step": settings["print_tools"]} | settings
+    old = dict(settings)
+    old.setdefault("tools", old.pop("print_tools", None))
+    return {"step": old["tools"]} | old
 
 
 def preset_problems(fronts: dict[str, list[MeasuredSetting]]) -> list[str]:
@@ -106,7 +109,7 @@ def preset_problems(fronts: dict[str, list[MeasuredSetting]]) -> list[str]:
         for point in points:
             each.setdefault(accuracy_of(point.settings), []).append(point)
     shared = {setting: own for setting, own in each.items() if len(own) == len(fronts)}
-    checked = {setting: own for setting, own in shared.items() if setting.print_tools}
+    checked = {setting: own for setting, own in shared.items() if setting.tools}
     best = {}
     for name, allowed in ALLOWED.items():
         good = {

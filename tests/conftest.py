@@ -55,7 +55,7 @@ from numba.core.dispatcher import Dispatcher
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.stages.build import BuildResult, build
 from tests.coarse_switches import coarse_bowls
-from tests.designs import small
+from tests.designs import QUICK, small
 
 
 @pytest.fixture(autouse=True)
@@ -94,10 +94,10 @@ def _kernels_are_compiled_once(own_cache: None) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None) -> BuildResult:
-    """The small design, built whole at draft accuracy, with switches of the coarse mesh."""
+    """The small design, built whole at draft accuracy and with tools, and coarse switches."""
     out = tmp_path_factory.mktemp("exports") / "small"
     with coarse_bowls():
-        return build(small(), out, accuracy="draft", progress=lambda _: None)
+        return build(small(), out, accuracy=QUICK, progress=lambda _: None)
 
 
 @pytest.fixture

@@ -23,8 +23,11 @@ COARSE = replace(
     place_share=1.5,
     cad_tolerance_mm=0.2,
     step=True,
+    tools=True,
 )
 """The least accuracy: for what does not depend on how well anything is computed."""
+QUICK = replace(PRESETS["draft"], tools=True)
+"""A draft with all that a sensor is made with."""
 
 
 def changed(base: str = "cylinder60", **tables: Any) -> Design:

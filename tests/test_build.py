@@ -27,7 +27,7 @@ from phytac_shapes.errors import (
     MissingPartError,
     PhytacError,
 )
-from tests.designs import COARSE, changed, fused, small, tiny
+from tests.designs import COARSE, QUICK, changed, fused, small, tiny
 from tests.refusals import refused
 
 CONTRACT = {
@@ -149,7 +149,7 @@ def test_page_opens_alone(built: BuildResult) -> None:
 
 
 def test_second_build_is_all_cache(built: BuildResult, tmp_path: Path) -> None:
-    again = build(small(), tmp_path / "again", accuracy="draft", progress=quiet)
+    again = build(small(), tmp_path / "again", accuracy=QUICK, progress=quiet)
     assert again.ran == ()
     first, second = manifest_of(built.out), manifest_of(again.out)
     assert first == second
@@ -157,9 +157,22 @@ def test_second_build_is_all_cache(built: BuildResult, tmp_path: Path) -> None:
 
 def test_resolved_design_rebuilds_the_same(built: BuildResult, tmp_path: Path) -> None:
     design = parse_design(tomllib.loads((built.out / "design.toml").read_text()), "resolved")
-    again = build(design, tmp_path / "again", accuracy="draft", progress=quiet)
+    again = build(design, tmp_path / "again", accuracy=QUICK, progress=quiet)
     assert again.ran == ()
     assert manifest_of(again.out) == manifest_of(built.out)
+
+
+def test_a_draft_has_no_molds_unless_they_are_named(built: BuildResult, tmp_path: Path) -> None:
+    draft = build(small(), tmp_path / "draft", accuracy="draft", progress=quiet)
+    for folder in ("mold", "kit", "bench", "inserts"):
+        assert not (draft.out / folder).exists()
+    assert (draft.out / "shell" / "shell.stl").is_file()
+    report = json.loads((draft.out / "report" / "report.json").read_text())
+    assert "no molds" in report["fabrication"]["mold_left_out"]
+    assert any("--set step=true --set tools=true" in text for text in report["changes"])
+    named = build(small(), tmp_path / "named", accuracy="draft", only=["mold"], progress=quiet)
+    names = {path.name for path in (named.out / "mold").iterdir()}
+    assert names == {path.name for path in (built.out / "mold").iterdir()}
 
 
 def test_same_inputs_give_the_same_files(
@@ -168,7 +181,7 @@ def test_same_inputs_give_the_same_files(
     """From an empty cache: all files but those that hold times, and STEP (``test_cad``)."""
     monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
     only = ["shell", "mesh", "decoder"]
-    again = build(small(), tmp_path / "again", accuracy="draft", only=only, progress=quiet)
+    again = build(small(), tmp_path / "again", accuracy=QUICK, only=only, progress=quiet)
     first = {item["path"]: item["sha256"] for item in manifest_of(built.out)["files"]}
     second = {item["path"]: item["sha256"] for item in manifest_of(again.out)["files"]}
     assert len(second) > 8

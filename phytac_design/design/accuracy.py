@@ -43,8 +43,10 @@ class Accuracy:
         Places at which the sensor is pressed to find markers that hide or fuse under load.
     press_tolerance : float
         Error of linear theory that is accepted there; 1 always accepts it.
-    print_tools : bool
-        Whether molds, fixtures and kit are checked against the print rules; the shell always is.
+    tools : bool
+        Whether a build has all that a sensor is made with: molds, calibration kit, inserts and
+        documents for the workshop, and print rules checked of every printed part. Without, only the
+        shell is checked, and these are made where a build names them.
     step : bool
         Whether STEP files are written, of the shell, the hardware and their assembly; STL and 3MF
         files always are.
@@ -60,7 +62,7 @@ class Accuracy:
     place_orders: int
     press_places: int
     press_tolerance: float
-    print_tools: bool
+    tools: bool
     step: bool
 
     def as_dict(self) -> dict[str, float]:
@@ -80,7 +82,7 @@ PRESETS: dict[str, Accuracy] = {
         place_orders=1,
         press_places=8,
         press_tolerance=1.0,
-        print_tools=False,
+        tools=False,
         step=False,
     ),
     "standard": Accuracy(
@@ -94,7 +96,7 @@ PRESETS: dict[str, Accuracy] = {
         place_orders=4,
         press_places=40,
         press_tolerance=0.05,
-        print_tools=True,
+        tools=True,
         step=True,
     ),
     "fine": Accuracy(
@@ -108,7 +110,7 @@ PRESETS: dict[str, Accuracy] = {
         place_orders=5,
         press_places=120,
         press_tolerance=0.02,
-        print_tools=True,
+        tools=True,
         step=True,
     ),
 }

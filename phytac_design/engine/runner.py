@@ -42,7 +42,7 @@ class StageTask:
         """Run into a folder; returns the record."""
         self.context.progress(f"{self.stage.name} …")
         start = time.perf_counter()
-        self.stage.run(self.context, folder)
+        self.stage.make(self.context, folder)
         seconds = time.perf_counter() - start
         self.done = True
         return {

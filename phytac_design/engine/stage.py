@@ -103,6 +103,9 @@ class Stage:
         Whether it does more where the machine has graphics libraries.
     scene : tuple of str
         Properties of a scene that it reads.
+    tool : bool
+        Whether it makes what a sensor is made with, which only builds with the setting ``tools``
+        have.
     gate : callable or None
         Reads the stage's result and returns why the build should stop here; "" to continue.
     finish : callable or None
@@ -121,8 +124,17 @@ class Stage:
     seeded: bool = False
     graphics: bool = False
     scene: tuple[str, ...] = ()
+    tool: bool = False
     gate: Callable[[Context], str] | None = None
     finish: Callable[[Design, Path], None] | None = None
+
+    def make(self, context: Context, folder: Path) -> None:
+        """Run, or write why there is no result."""
+        if self.tool and not context.accuracy.tools:
+            why = "quick settings make no molds, calibration kit, inserts and documents"
+            write_facts(folder, {"left_out": why, "parts": []})
+            return
+        self.run(context, folder)
 
     def inputs(self, context: Context, keys: dict[str, str]) -> dict[str, Any]:
         """Everything the result depends on, as plain values.
@@ -131,6 +143,7 @@ class Stage:
         an unchanged result reruns nothing. Any other enters by its key.
         """
         settings = context.accuracy.as_dict()
+        read = (*self.settings, "tools") if self.tool else self.settings
         values = context.scene.inputs(self.scene) if context.scene else {}
         if "regions" in values:  # which markers belong to a region depends on the footprint
             values["footprint_mm"] = context.design.switch.footprint_diameter_mm
@@ -138,7 +151,7 @@ class Stage:
         limits = {"scene": values} if values else {}
         return limits | {
             "reads": values_of(context.design, self.design_fields),
-            "knobs": {name: settings[name] for name in self.settings},
+            "knobs": {name: settings[name] for name in read},
             "needs": {name: self._dependency(name, context, keys) for name in self.depends_on},
             "seed": context.seed if self.seeded else None,
             "graphics": graphics_libraries() if self.graphics else None,

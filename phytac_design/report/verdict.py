@@ -333,10 +333,16 @@ def _left_out(context: Context) -> list[str]:
     """What a build leaves out: STEP, hardware that does not fit, the stiffness of receptors."""
     out = []
     design = context.design
-    if not context.accuracy.step:
+    absent = {
+        "step": "STEP files",
+        "tools": "molds, calibration kit, inserts and documents for the workshop",
+    }
+    without = {name: what for name, what in absent.items() if not getattr(context.accuracy, name)}
+    if without:
+        sets = " ".join(f"--set {name}=true" for name in without)
         out.append(
-            "these are quick settings, without STEP files: build with --accuracy standard, or "
-            "--set step=true"
+            f"these are quick settings, without {', '.join(without.values())}: build with "
+            f"--accuracy standard, or {sets}"
         )
     why = context.facts("hardware").get("hardware_left_out", "")
     if why and design.hardware.parts == "all" and not context.facts("switch")["refused"]:

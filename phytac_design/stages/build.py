@@ -8,7 +8,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -120,6 +120,9 @@ def build(
     """
     begin = time.perf_counter()
     stages = select_stages(only) if stages is None else stages
+    accuracy = settings_of(accuracy)
+    if any(stage.tool and stage.name in (only or ()) for stage in stages):
+        accuracy = replace(accuracy, tools=True)
     check_design(design)
     limit = limit_bytes()
     _claim(out, design, force=force)

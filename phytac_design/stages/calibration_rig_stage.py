@@ -67,5 +67,6 @@ KIT = Stage(
     ),
     settings=("cad_tolerance_mm",),
     depends_on=("switch",),
+    tool=True,
     run=run,
 )

@@ -189,5 +189,6 @@ BENCH = Stage(
     ),
     settings=("cad_tolerance_mm",),
     depends_on=("shell", "switch", "printing", *OTHERS),
+    tool=True,
     run=run,
 )

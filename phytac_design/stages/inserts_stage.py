@@ -64,5 +64,6 @@ INSERTS = Stage(
         "print_rules",
     ),
     settings=("cad_tolerance_mm",),
+    tool=True,
     run=run,
 )

@@ -33,7 +33,7 @@ def run(context: Context, folder: Path) -> None:
     write_text(folder, "shell/print_report.svg", picture)
     parts = {shell_file: report.as_dict()}
     others = printed_files(context)
-    unchecked = [] if context.accuracy.print_tools else sorted(others)
+    unchecked = [] if context.accuracy.tools else sorted(others)
     for file, path in others.items():
         if file in unchecked:
             continue
@@ -113,7 +113,7 @@ def _part(context: Context, folder: Path) -> dict[str, Any]:
 PRINTING = Stage(
     name="printing",
     design_fields=("name", "tubes", "wall", "receptor", "print_rules"),
-    settings=("cad_tolerance_mm", "print_tools"),
+    settings=("cad_tolerance_mm", "tools"),
     depends_on=("shell", *OTHERS),
     run=run,
 )

@@ -13,7 +13,7 @@ from phytac_design.engine.stage import Context, Stage, export_path, write_arrays
 from phytac_design.layout.cameras import stand_off_mm, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_of
-from phytac_design.optics.frame_renderer import render_frame
+from phytac_design.optics.frame_renderer import quick_samples, render_frame
 from phytac_design.optics.render_scene import build_scene, paint_owner
 from phytac_design.optics.sharpness import lens_facts
 from phytac_design.optics.visibility import (
@@ -215,7 +215,8 @@ def run_compare(context: Context, folder: Path) -> None:
     each = [check_visibility(sensor, rng=rng, camera=camera) for camera in sensor.cameras]
     near = sensor.cameras[0]
     scene = build_scene(sensor, tolerance_mm=tolerance_mm(near, markers))
-    write_image(export_path(folder, "views/straight.png"), render_frame(scene, near))
+    picture = render_frame(scene, near, samples=quick_samples(near))
+    write_image(export_path(folder, "views/straight.png"), picture)
     straight = best_of(each)[0].summary()
     del straight["switch_unreadable"]  # counted by exact pixels, see :func:`summary_of`
     write_facts(folder, {"straight": straight})

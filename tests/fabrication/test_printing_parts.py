@@ -135,7 +135,7 @@ def test_what_cannot_be_parted_says_why() -> None:
 
 
 def stage_result(case: Design, tmp_path: Path, *, tools: bool = True) -> dict[str, Any]:
-    accuracy = replace(PRESETS["draft"], print_tools=tools)
+    accuracy = replace(PRESETS["draft"], tools=tools)
     folders = {name: tmp_path / name for name in ("shell", *OTHERS)}
     for folder in folders.values():
         folder.mkdir(exist_ok=True)

@@ -205,7 +205,7 @@ def violation(rule: str, fix: str, measured: float) -> dict[str, Any]:
 
 def test_what_to_change_is_gathered(tmp_path: Path) -> None:
     context = context_of(tmp_path, {})
-    context = replace(context, accuracy=replace(context.accuracy, step=True))
+    context = replace(context, accuracy=replace(context.accuracy, step=True, tools=True))
     broken = [violation("wall", f"{k} mm² are thin; make the wall thicker", 0.3) for k in range(3)]
     facts: dict[str, dict[str, Any]] = {
         "underload": {"first_force_N": None},

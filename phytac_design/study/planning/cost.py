@@ -175,8 +175,9 @@ def features(
     n, pixels = counts.markers / 100.0, counts.megapixels
     nodes, truth = counts.nodes / 1e3, counts.truth_nodes / 1e3
     fine = 0.01 / accuracy.cad_tolerance_mm
-    tools = float(accuracy.print_tools)
+    tools = float(accuracy.tools)
     solid = {"one": 1.0, "markers": n, "fine": n * fine}
+    tool = {name: tools * amount for name, amount in solid.items()}
     higher_orders = float(accuracy.place_orders > 1)
     solved = float(accuracy.place_orders in LARGE_SOLVED_ABOVE)
     large = float(accuracy.press_tolerance < 1.0)
@@ -205,11 +206,11 @@ def features(
         "shell": solid,
         "step": {"one": float(accuracy.step), "markers": accuracy.step * n},
         "hardware": solid,
-        "mold": solid,
-        "kit": solid,
-        "inserts": {"one": 1.0, "markers": n * design.receptor.has_inserts},
+        "mold": tool,
+        "kit": tool,
+        "inserts": {"one": tools, "markers": tools * n * design.receptor.has_inserts},
         "printing": solid | {"tools": tools, "fine_tools": tools * n * fine},
-        "bench": solid,
+        "bench": tool,
         "mesh": {"one": 1.0, "nodes": nodes},
         "response": {
             "one": 1.0,

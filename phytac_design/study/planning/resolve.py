@@ -122,6 +122,8 @@ def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
                 f"the regions of the scene {scene.name!r} hold no receptor; widen along and around",
             )
     stages = _stages(scene)
+    if "fabrication" in scene.outputs:
+        accuracy = replace(accuracy, tools=True)
     names = {stage.name for stage in stages}
     off = float("nan")
     if names & {"places", "underload"}:

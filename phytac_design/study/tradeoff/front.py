@@ -44,11 +44,11 @@ def pareto(points: Sequence[MeasuredSetting], quantity: str) -> list[MeasuredSet
 def no_worse(one: MeasuredSetting, other: MeasuredSetting) -> bool:
     """Whether no error of ``one`` is larger than the other's, and no check or file left out.
 
-    What a check (``print_tools``) does not find, and files (``step``), are in none of the errors.
+    What a check (``tools``) does not find, and files (``step``), are in none of the errors.
     """
     left_out = any(
         bool(other.settings.get(name, True)) and not one.settings.get(name, True)
-        for name in ("print_tools", "step")
+        for name in ("tools", "step")
     )
     return not left_out and all(one.errors[name] <= error for name, error in other.errors.items())
 

@@ -34,10 +34,10 @@ class JointGrid:
     """
 
     cad: tuple[Settings, ...] = (
-        {"cad_tolerance_mm": 0.05, "print_tools": False, "step": False},
-        {"cad_tolerance_mm": 0.02, "print_tools": True, "step": True},
-        {"cad_tolerance_mm": 0.01, "print_tools": True, "step": True},
-        {"cad_tolerance_mm": 0.005, "print_tools": True, "step": True},
+        {"cad_tolerance_mm": 0.05, "tools": False, "step": False},
+        {"cad_tolerance_mm": 0.02, "tools": True, "step": True},
+        {"cad_tolerance_mm": 0.01, "tools": True, "step": True},
+        {"cad_tolerance_mm": 0.005, "tools": True, "step": True},
     )
     mechanics: tuple[Settings, ...] = tuple(
         {"refine": refine, "place_orders": orders, "place_share": share}

@@ -40,8 +40,9 @@ def test_every_stage_has_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     for row in plan.rows:
         assert row.why
         assert row.loses or row.action == "run"
-        # A draft has no STEP files.
-        assert (row.seconds > 0.0) == (row.stage != "step")
+        # A draft has no STEP files, and nothing that a sensor is made with.
+        absent = {"step", *(stage.name for stage in STAGES if stage.tool)}
+        assert (row.seconds > 0.0) == (row.stage not in absent)
     assert plan.seconds < 0.5 * plan.whole_seconds
     assert plan.error == {}
 
@@ -113,7 +114,7 @@ def test_unit_costs_cover_every_stage_and_grow() -> None:
     names = {stage.name for stage in STAGES}
     assert set(CPU_s) == set(MEMORY_MB) == names
     plan = planned(small(), scene())
-    few = features(plan.counts, replace(PRESETS["draft"], step=True), small(), scene())
+    few = features(plan.counts, replace(PRESETS["draft"], step=True, tools=True), small(), scene())
     many = features(plan.whole_counts, PRESETS["fine"], small())
     for table in (CPU_s, MEMORY_MB):
         less, more = predict(table, few), predict(table, many)

@@ -11,7 +11,7 @@ from phytac_design.cli.app import app
 from phytac_design.cli.tradeoff_command import build_within
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import to_toml
-from phytac_design.stages.build import BuildResult
+from phytac_design.stages.build import BuildResult, build
 from phytac_design.study.tradeoff import budget as budget_module
 from phytac_design.study.tradeoff import build_to as module
 from phytac_design.study.tradeoff.build_to import AUDIT, build_to
@@ -28,6 +28,7 @@ def test_a_budget_takes_what_the_cache_has(
     built: BuildResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A cached draft costs nothing; nothing else fits so few seconds."""
+    build(small(), tmp_path / "draft", accuracy="draft", progress=quiet)
     monkeypatch.setattr(budget_module, "machine_factor", lambda: 10.0)
     result, choice = build_to(small(), tmp_path / "out", budget_s=5.0, progress=quiet)
     assert choice.accuracy == PRESETS["draft"]

@@ -102,7 +102,7 @@ def test_cost_rises_with_every_setting() -> None:
         replace(DRAFT, frames=50),
         replace(DRAFT, press_tolerance=0.05),
         replace(DRAFT, truth_refine=9),
-        replace(DRAFT, print_tools=True),
+        replace(DRAFT, tools=True),
     ):
         assert sum(wall_seconds(work, finer).values()) > sum(wall_seconds(work, DRAFT).values())
 

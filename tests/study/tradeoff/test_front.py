@@ -59,7 +59,7 @@ def test_knee_is_where_more_time_gains_little() -> None:
 def test_every_setting_of_a_build_is_read_by_a_stage() -> None:
     settings = set(PRESETS["draft"].as_dict())
     of_build = {setting.name for setting in SETTINGS if setting.of_build}
-    assert of_build == settings - {"print_tools", "step"}
+    assert of_build == settings - {"tools", "step"}
     for setting in SETTINGS:
         assert setting.quantity in QUANTITIES
         assert bool(setting.stages) == setting.of_build
