@@ -151,7 +151,6 @@ def fit_distance_mm(
             )
     if low == high:
         return least_mm
-    for _ in range(100):
-        middle = (low + high) / 2.0
+    while low < (middle := (low + high) / 2.0) < high:  # to the last digit
         low, high = (low, middle) if fits(middle) else (middle, high)
     return high
