@@ -168,7 +168,7 @@ def test_a_draft_has_no_molds_unless_they_are_named(built: BuildResult, tmp_path
         assert not (draft.out / folder).exists()
     assert (draft.out / "shell" / "shell.stl").is_file()
     report = json.loads((draft.out / "report" / "report.json").read_text())
-    assert "no molds" in report["fabrication"]["mold_left_out"]
+    assert "quick settings" in report["fabrication"]["mold_left_out"]
     assert any("--set step=true --set tools=true" in text for text in report["changes"])
     named = build(small(), tmp_path / "named", accuracy="draft", only=["mold"], progress=quiet)
     names = {path.name for path in (named.out / "mold").iterdir()}

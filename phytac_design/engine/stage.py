@@ -131,7 +131,7 @@ class Stage:
     def make(self, context: Context, folder: Path) -> None:
         """Run, or write why there is no result."""
         if self.tool and not context.accuracy.tools:
-            why = "quick settings make no molds, calibration kit, inserts and documents"
+            why = "left out of a build with quick settings"
             write_facts(folder, {"left_out": why, "parts": []})
             return
         self.run(context, folder)
