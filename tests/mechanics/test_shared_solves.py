@@ -1,5 +1,6 @@
 """Load cases in threads, whose solves are done together."""
 
+import threading
 import time
 from functools import partial
 
@@ -84,3 +85,23 @@ def test_solves_of_others_are_not_waited_for() -> None:
     assert side_by_side(solve, [both, both]) == [4.0, 4.0]
     assert solve.rounds == [[2.0, 2.0]]
     assert other.rounds == [[1.0], [1.0]]
+
+
+def test_an_interrupt_does_not_wait_for_load_cases(monkeypatch: pytest.MonkeyPatch) -> None:
+    solve, ended = CountedSolve(), threading.Event()
+
+    def long() -> None:
+        try:
+            while True:
+                shared(solve, np.ones(2))
+        finally:
+            ended.set()
+
+    def interrupted(self: threading.Thread, timeout: float | None = None) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "join", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            side_by_side(solve, [long, long])
+    assert ended.wait(5.0)

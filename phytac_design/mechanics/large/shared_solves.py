@@ -7,7 +7,6 @@ for a solve, or has ended. What is solved together therefore does not depend on 
 
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 from typing import TypeVar
 
@@ -17,6 +16,10 @@ from phytac_shapes.arrays import FloatArray
 
 T = TypeVar("T")
 Solve = Callable[[FloatArray], FloatArray]
+
+
+class StoppedError(Exception):
+    """The solves were stopped: nobody waits for the load case any more."""
 
 
 class SharedSolves:
@@ -35,14 +38,15 @@ class SharedSolves:
         self._changed = threading.Condition()
         self._asked: dict[int, FloatArray] = {}
         self._found: dict[int, FloatArray | Exception] = {}
+        self._stopped = False
 
     def ask(self, number: int, load: FloatArray) -> FloatArray:
         """Return the solution (n,) for a load (n,) of one thread, once all others have asked."""
         with self._changed:
             self._asked[number] = load
             self._solve_if_all_wait()
-            self._changed.wait_for(lambda: number in self._found)
-            found = self._found.pop(number)
+            self._changed.wait_for(lambda: number in self._found or self._stopped)
+            found = self._found.pop(number, StoppedError())
         if isinstance(found, Exception):
             raise found
         return found
@@ -53,8 +57,14 @@ class SharedSolves:
             self._running -= 1
             self._solve_if_all_wait()
 
+    def stop(self) -> None:
+        """End all threads at their next solve."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+
     def _solve_if_all_wait(self) -> None:
-        if not self._asked or len(self._asked) < self._running:
+        if self._stopped or not self._asked or len(self._asked) < self._running:
             return
         order = sorted(self._asked)
         found: list[FloatArray] | list[Exception]
@@ -91,14 +101,28 @@ def side_by_side(solve: Solve, tasks: Sequence[Callable[[], T]]) -> list[T]:
     if len(tasks) < 2:
         return [task() for task in tasks]
     solves = SharedSolves(solve, len(tasks))
+    found: dict[int, T] = {}
+    errors: dict[int, BaseException] = {}
 
-    def run(number: int, task: Callable[[], T]) -> T:
-        token = _OWN.set((solve, solves, number))
+    def run(number: int, task: Callable[[], T]) -> None:
+        _OWN.set((solve, solves, number))  # in the context of this thread alone
         try:
-            return task()
+            found[number] = task()
+        except BaseException as error:  # noqa: BLE001  raised below
+            errors[number] = error
         finally:
-            _OWN.reset(token)
             solves.leave()
 
-    with ThreadPoolExecutor(max_workers=len(tasks)) as pool:
-        return list(pool.map(run, range(len(tasks)), tasks))
+    # Daemons: an interrupted program does not wait for them.
+    threads = [threading.Thread(target=run, args=each, daemon=True) for each in enumerate(tasks)]
+    for thread in threads:
+        thread.start()
+    try:
+        for thread in threads:
+            thread.join()
+    except BaseException:
+        solves.stop()
+        raise
+    if errors:
+        raise errors[min(errors)]
+    return [found[number] for number in range(len(tasks))]
