@@ -4,6 +4,7 @@ import json
 import shutil
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -170,9 +171,15 @@ def test_a_draft_has_no_molds_unless_they_are_named(built: BuildResult, tmp_path
     report = json.loads((draft.out / "report" / "report.json").read_text())
     assert "quick settings" in report["fabrication"]["mold_left_out"]
     assert any("--set step=true --set tools=true" in text for text in report["changes"])
-    named = build(small(), tmp_path / "named", accuracy="draft", only=["mold"], progress=quiet)
-    names = {path.name for path in (named.out / "mold").iterdir()}
+    plain = replace(COARSE, step=False)
+    step = build(tiny(), tmp_path / "step", accuracy=plain, only=["step"], progress=quiet)
+    assert (step.out / "shell" / "shell.step").is_file()
+    before = {path for path in draft.out.rglob("*") if path.is_file()}
+    build(small(), draft.out, accuracy="draft", only=["mold"], progress=quiet)
+    names = {path.name for path in (draft.out / "mold").iterdir()}
     assert names == {path.name for path in (built.out / "mold").iterdir()}
+    assert all(path.is_file() for path in before), "a named part is added to a draft"
+    assert manifest_of(draft.out)["accuracy"] == "draft"
 
 
 def test_same_inputs_give_the_same_files(

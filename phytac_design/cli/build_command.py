@@ -85,6 +85,7 @@ def build(
     from phytac_design.design.design_file import load_design
     from phytac_design.design.spec import Design
     from phytac_design.stages.build import build as run_build
+    from phytac_design.stages.build import with_named
 
     _refuse_both(
         {
@@ -148,7 +149,7 @@ def build(
                 force=force,
                 progress=display,
                 workers=workers or usable_cores(),
-                costs=partial(stage_costs, loaded, chosen),
+                costs=partial(stage_costs, loaded, with_named(chosen, names)),
             )
     if as_json:
         summary = {

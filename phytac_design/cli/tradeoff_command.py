@@ -1,5 +1,6 @@
 """``phytac tradeoff``, and the options ``--tolerance`` and ``--budget`` of ``phytac build``."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -66,6 +67,7 @@ def build_within(
     """
     from typing import get_args
 
+    from phytac_design.report.verdict import QUICK
     from phytac_design.study.tradeoff.build_to import (
         AUDIT,
         audit_lines,
@@ -98,3 +100,7 @@ def build_within(
     typer.echo(f"{result.out}: {result.seconds:.0f} s, {len(result.ran)} stages ran")
     for line in audit_lines(choice, result.seconds):
         typer.echo(f"  {line}")
+    page = out / "report" / "report.json"
+    for text in json.loads(page.read_text(encoding="utf-8"))["changes"]:
+        if text.startswith(QUICK):
+            typer.echo(f"to mind: {text}")

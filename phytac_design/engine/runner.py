@@ -345,4 +345,6 @@ def _left_out(stage: str, folder: Path) -> str:
     facts = folder / "facts.json"
     if not facts.is_file():
         return ""
-    return str(json.loads(facts.read_text(encoding="utf-8")).get(f"{stage}_left_out", ""))
+    found = json.loads(facts.read_text(encoding="utf-8"))
+    why = found.get(f"{stage}_left_out", found.get("left_out", ""))
+    return why if isinstance(why, str) else ""

@@ -131,7 +131,8 @@ class Stage:
     def make(self, context: Context, folder: Path) -> None:
         """Run, or write why there is no result."""
         if self.tool and not context.accuracy.tools:
-            why = "left out of a build with quick settings"
+            why = "quick settings (--set tools=true makes them)"
+            context.progress(f"{self.name}: left out ({why})")
             write_facts(folder, {"left_out": why, "parts": []})
             return
         self.run(context, folder)

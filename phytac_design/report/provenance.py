@@ -58,7 +58,11 @@ def time_section(context: Context, report: Mapping[str, Any]) -> str:
     )
     scene = context.scene
     limited = (
-        "everything of this sensor was built"
+        (
+            "everything of this sensor was built"
+            if context.accuracy.tools and context.accuracy.step
+            else "what the quick settings have of this sensor was built"
+        )
         if scene is None
         else f"only what the scene {scene.name} requires was built: {scene.description}"
     )

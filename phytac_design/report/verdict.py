@@ -45,6 +45,8 @@ SHARE_MIN = 0.9
 """Share of the contacts anywhere that must be read well for a yes (assumed)."""
 SHARE_BAD = 0.5
 """Below this share the answer is no (assumed)."""
+QUICK = "these are quick settings"
+"""How the sentence begins that says what a build left out."""
 SIMULATED = (
     "All decoder figures are in simulation: contacts are solved with a linear shell model (on a "
     "finer mesh than the decoder's own), projected through the camera, and given pixel noise. "
@@ -325,6 +327,7 @@ def changes_of(context: Context, reasons: Sequence[str], well: Mapping[str, Any]
         *_stiff_remedy(context.facts("underload"), well),
         *_print_remedies(context.facts("printing")),
         *_switch_warnings(context.facts("switch")),
+        *_unreadable(context),
         *_left_out(context),
     ]
 
@@ -333,15 +336,17 @@ def _left_out(context: Context) -> list[str]:
     """What a build leaves out: STEP, hardware that does not fit, the stiffness of receptors."""
     out = []
     design = context.design
-    absent = {
-        "step": "STEP files",
-        "tools": "molds, calibration kit, inserts and documents for the workshop",
-    }
+    tools = ["documents for the workshop"]
+    if not context.facts("switch").get("absent") and not context.facts("switch")["refused"]:
+        tools = ["molds", "calibration kit", *tools]
+    if design.receptor.has_inserts:
+        tools = ["inserts", *tools]
+    absent = {"step": "STEP files", "tools": ", ".join(tools)}
     without = {name: what for name, what in absent.items() if not getattr(context.accuracy, name)}
     if without:
         sets = " ".join(f"--set {name}=true" for name in without)
         out.append(
-            f"these are quick settings, without {', '.join(without.values())}: build with "
+            f"{QUICK}, without {', '.join(without.values())}: build with "
             f"--accuracy standard, or {sets}"
         )
     why = context.facts("hardware").get("hardware_left_out", "")
@@ -404,6 +409,21 @@ def _print_remedies(facts: Mapping[str, Any]) -> list[str]:
     if len(found) > shown:
         out.append(f"{len(found) - shown} more kinds are in shell/print_report.json")
     return out
+
+
+def _unreadable(context: Context) -> list[str]:
+    """Switches that the camera cannot read."""
+    seen = context.facts("views")["visibility"]
+    count = int(seen.get("switch_unreadable", 0))
+    if not count or not context.design.has_switches:
+        return []
+    text = (
+        f"the camera cannot read {count} of {context.markers.count} switches: their tips show too "
+        "little more red when they are out than at rest; let tips rest deeper and move farther "
+        "(switch.tip_recess_mm, switch.stroke_mm), or move the camera nearer "
+        "(camera.stand_off_mm); phytac check refuses such a design if they are many"
+    )
+    return [text]
 
 
 def _switch_warnings(facts: Mapping[str, Any]) -> list[str]:

@@ -24,6 +24,7 @@ from phytac_design.engine.stage import EXPORT, Context, Stage
 from phytac_design.report.provenance import package_versions
 from phytac_design.rules.check import check_design
 from phytac_design.stages import STAGES
+from phytac_design.stages.shell_stage import STEP
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import DesignError, OutputError
 
@@ -81,6 +82,16 @@ def select_stages(only: Sequence[str] | None) -> list[Stage]:
     return [stage for stage in STAGES if stage.name in wanted]
 
 
+def with_named(accuracy: Accuracy, only: Sequence[str] | None) -> Accuracy:
+    """Settings with which stages make something that are named though quick settings omit them."""
+    named = set(only or ())
+    return replace(
+        accuracy,
+        tools=accuracy.tools or any(stage.tool and stage.name in named for stage in STAGES),
+        step=accuracy.step or STEP.name in named,
+    )
+
+
 def build(
     design: Design,
     out: Path,
@@ -120,9 +131,7 @@ def build(
     """
     begin = time.perf_counter()
     stages = select_stages(only) if stages is None else stages
-    accuracy = settings_of(accuracy)
-    if any(stage.tool and stage.name in (only or ()) for stage in stages):
-        accuracy = replace(accuracy, tools=True)
+    wanted = settings_of(accuracy)
     check_design(design)
     limit = limit_bytes()
     _claim(out, design, force=force)
@@ -131,7 +140,7 @@ def build(
             context, ran, timing = run_stages(
                 design,
                 stages,
-                accuracy=accuracy,
+                accuracy=with_named(wanted, only),
                 scene=scene,
                 seed=seed,
                 force=force,
@@ -148,7 +157,8 @@ def build(
             with _alone_in(out):
                 # Another design's build may have ended there in the meantime.
                 _claim(out, design, force=force)
-                _export(out, design, stages, context)
+                # Named parts are added to a build with these settings.
+                _export(out, design, stages, replace(context, accuracy=wanted))
         except OSError as error:
             raise OutputError(
                 "output-not-writable",

@@ -212,12 +212,19 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
         "printing": {"files": {"shell/shell.stl": {"violations": []}}},
         "switch": {"switches": [{"warnings": ["assumed: a rubber"]}], "refused": ""},
         "hardware": {"parts": []},
+        "views": {"visibility": {"switch_unreadable": 0}},
     }
     for name, values in facts.items():
-        (tmp_path / name).mkdir()
+        (tmp_path / name).mkdir(exist_ok=True)
         context.folders[name] = tmp_path / name
         write_facts(tmp_path / name, values)
     assert verdict.changes_of(context, [], {"share": None}) == []
+    write_facts(tmp_path / "views", {"visibility": {"switch_unreadable": 8}})
+    unread = verdict.changes_of(context, [], {"share": None})
+    assert [text.partition(":")[0] for text in unread] == [
+        f"the camera cannot read 8 of {context.markers.count} switches"
+    ]
+    write_facts(tmp_path / "views", {"visibility": {"switch_unreadable": 0}})
     assert verdict.changes_of(context, [], {"share": 0.5}) == []
     draft = replace(context, accuracy=PRESETS["draft"])
     (left_out,) = verdict.changes_of(draft, [], {"share": 0.5})

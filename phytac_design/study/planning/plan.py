@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from phytac_design.design.accuracy import Accuracy, preset_name
@@ -154,12 +154,13 @@ def plan_scene(
         in_play=int(resolved.in_play.sum()),
     )
     whole = Workload(design).counts(accuracy)
-    full_amounts = features(whole, accuracy, design)
+    same = replace(accuracy, tools=resolved.accuracy.tools, step=resolved.accuracy.step)
+    full_amounts = features(whole, same, design)
     amounts = features(counts, resolved.accuracy, resolved.design, resolved.scene)
     full_s, full_MB = predict(CPU_s, full_amounts), predict(MEMORY_MB, full_amounts)
     own_s, own_MB = predict(CPU_s, amounts), predict(MEMORY_MB, amounts)
     cached = cached_stages(resolved.context(seed), resolved.stages)
-    chosen = {stage.name for stage in resolved.stages}
+    chosen = makers(resolved)
     rows = []
     for name in (stage.name for stage in STAGES):
         action = "left out" if name not in chosen else "cached" if name in cached else "run"
@@ -184,6 +185,16 @@ def plan_scene(
         whole_memory_MB=max(full_MB.values()),
         error=predicted_error(resolved) if "decoder" in chosen else {},
     )
+
+
+def makers(resolved: Resolved) -> set[str]:
+    """Names of the stages that make something with these settings."""
+    accuracy = resolved.accuracy
+    return {
+        stage.name
+        for stage in resolved.stages
+        if (accuracy.tools or not stage.tool) and (accuracy.step or stage.name != "step")
+    }
 
 
 def cached_stages(context: Context, stages: Sequence[Stage]) -> frozenset[str]:
@@ -251,6 +262,8 @@ def how_of(name: str, resolved: Resolved, counts: Counts) -> str:
 
 def why_of(name: str, resolved: Resolved) -> str:
     """Output or stage that needs a stage."""
+    if name in {stage.name for stage in resolved.stages} - makers(resolved):
+        return "quick settings; --set tools=true and step=true make it"
     outputs = [o for o in resolved.scene.outputs if name in STAGES_OF[o]]
     if outputs:
         return "output " + ", ".join(outputs)
@@ -265,7 +278,7 @@ def why_of(name: str, resolved: Resolved) -> str:
 def lost_by(name: str, resolved: Resolved, counts: Counts) -> str:
     """What is missing because a stage is left out or limited; "" if nothing."""
     scene, limited = resolved.scene, resolved.scope is not None
-    if name not in {stage.name for stage in resolved.stages}:
+    if name not in makers(resolved):
         return LOST[name]
     outside = counts.markers - counts.in_play
     texts = {

@@ -123,7 +123,7 @@ def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
             )
     stages = _stages(scene)
     if "fabrication" in scene.outputs:
-        accuracy = replace(accuracy, tools=True)
+        accuracy = replace(accuracy, tools=True, step=True)
     names = {stage.name for stage in stages}
     off = float("nan")
     if names & {"places", "underload"}:
@@ -189,7 +189,7 @@ def _with_contacts(design: Design, scene: Scene) -> Design:
 
 
 def latency_ms(design: Design, scene: Scene, estimator: str) -> float:
-    """Predicted time of one core from a frame to forces, ms.
+    """Predicted time of one core from a frame to forces, ms, where markers are followed.
 
     From medians of the decoder benchmark: markers are found in 0.8 ms an image and 0.45 ms a
     megapixel; `auto` takes 1.6 ms a contact, the other estimators 0.8 ms a frame.
@@ -212,7 +212,9 @@ def _estimator(design: Design, scene: Scene, why: dict[str, str]) -> str:
         why["estimator"] = f"{chosen}: latency does not matter here ({takes:.1f} ms a frame)"
     else:
         how = "within" if takes <= budget else "longer than"
-        why["estimator"] = f"{chosen}: {takes:.1f} ms a frame, {how} the {budget:.1f} ms available"
+        why["estimator"] = (
+            f"{chosen}: {takes:.1f} ms a frame with --follow, {how} the {budget:.1f} ms available"
+        )
     return chosen
 
 

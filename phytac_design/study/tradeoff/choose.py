@@ -14,6 +14,9 @@ from phytac_design.study.tradeoff.pilot import ForcePilot, Pilot, VisibilityPilo
 from phytac_design.study.tradeoff.settings import Quantity
 from phytac_shapes.errors import DesignError
 
+BASE = replace(PRESETS["draft"], tools=True)
+"""Settings of what an error does not depend on: as cheap as possible, but complete."""
+
 Progress = Callable[[str], None]
 
 
@@ -75,7 +78,7 @@ def choose_tolerance(
 ) -> Choice:
     """Find the cheapest setting whose predicted error is within a tolerance.
 
-    Fields that the error does not depend on stay as in ``draft``.
+    Fields that the error does not depend on stay as in ``draft``, but for ``tools``.
 
     Parameters
     ----------
@@ -129,14 +132,14 @@ def choose_tolerance(
 
 def difference_from_draft(setting: Accuracy) -> str:
     """Settings that differ from ``draft``, as text."""
-    draft = PRESETS["draft"].as_dict()
+    draft = BASE.as_dict()
     own = {key: value for key, value in setting.as_dict().items() if value != draft[key]}
     return ", ".join(f"{key} {value}" for key, value in own.items()) or "the settings of draft"
 
 
 def pilot_of(of: str, error: ForceError) -> tuple[Pilot, Sequence[Accuracy]]:
     """Pilot of a quantity, and the settings that are tried for it."""
-    draft, refines = PRESETS["draft"], (2, 3, 4, 5, 6, 8, 10, 12)
+    draft, refines = BASE, (2, 3, 4, 5, 6, 8, 10, 12)
     if of == "force":
         return ForcePilot(error), [
             replace(draft, refine=refine, place_orders=orders, place_share=share)

@@ -60,7 +60,7 @@ def test_tighter_tolerances_cost_more_and_hold(error: ForceError) -> None:
             choice.accuracy,
             **{k: getattr(DRAFT, k) for k in ("refine", "place_orders", "place_share")},
         )
-        assert others == DRAFT
+        assert others == replace(DRAFT, tools=True)
 
 
 def test_unreachable_tolerance_is_rejected_with_the_best(
