@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, save_bundle
 from phytac_design.cli.app import app
-from phytac_design.datasets.samples import DataSetInfo, Samples
+from phytac_design.datasets.samples import FLAGGED, DataSetInfo, Samples
 from phytac_design.datasets.samples_file import file_hash, write_samples
 from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
@@ -371,3 +371,28 @@ def test_evaluation_on_training_data_warns(judge: Callable[..., Path], tmp_path:
     save_bundle(trained, tmp_path / "decoder")
     judge(toy_samples(), progress=said.append, force=True)
     assert sum("data-0 is what this decoder was trained on" in text for text in said) == 1
+
+
+def test_data_whose_samples_are_mostly_flagged_warn(judge: Callable[..., Path]) -> None:
+    samples, said = toy_samples(20), []
+    few = np.arange(5)
+    for count, warned in ((5, False), (6, True)):
+        few = np.arange(count)
+        flagged = replace(
+            samples,
+            status=np.where(np.arange(20) < count, FLAGGED, samples.status),
+            reasons=("a switch was read as on that no contact of the log presses",),
+            reason_sample=few,
+            reason_index=np.zeros(count, dtype=np.int64),
+        )
+        said.clear()
+        judge(flagged, progress=said.append, force=True)
+        assert any(f"{count} of 20 samples are flagged" in text for text in said) is warned
+
+
+def test_measured_data_of_a_sensor_without_switches_are_refused(
+    judge: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ForceModel, "without_switches", True)
+    with refused("evaluation-without-switches"):
+        judge(toy_samples(5), metas=(replace(toy_meta(), simulated=False),))

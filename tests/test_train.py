@@ -32,7 +32,7 @@ from phytac_design.workflows import train_decoder
 from phytac_design.workflows.train_decoder import MECHANICS, TABLE, train
 from phytac_shapes.errors import DesignError
 from tests.decoder.drawn_samples import assert_same, drawn
-from tests.designs import small
+from tests.designs import changed, small
 from tests.drawn_presses import meta_of, presses
 from tests.places_alone import places_alone
 from tests.refusals import refused
@@ -554,3 +554,10 @@ def test_sets_are_known_by_their_bytes(data: Path) -> None:
     assert item.has_points
     assert item.facts()["samples"] == 200
     assert len(item.sha256) == 64
+
+
+def test_a_sensor_without_switches_is_not_trained(little: Path, tmp_path: Path) -> None:
+    posts = changed(receptor={"diameter_hole_mm": 0.0})
+    with refused("training-without-switches"):
+        train(posts, [little], tmp_path / "decoder", accuracy="draft", progress=lambda _: None)
+    assert not (tmp_path / "decoder").exists()

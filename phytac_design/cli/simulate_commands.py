@@ -118,7 +118,10 @@ def simulate(
         typer.echo(f"  and {len(reasons) - 5} other reasons")
     if keep == "frames":
         _say_frames(loaded, done.out)
-    next_step(f"phytac train {design} {done.out}")
+    if loaded.has_switches:
+        next_step(f"phytac train {design} {done.out}")
+    else:
+        next_step(f"phytac evaluate DECODER {done.out}, with the decoder of a build of this design")
 
 
 def scenarios(as_json: JsonOption = False) -> None:

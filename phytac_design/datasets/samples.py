@@ -15,7 +15,7 @@ STATUSES = ("ok", "flagged", "failed")
 """A flagged sample has numbers and a reason to distrust them; a failed one has none."""
 THEORIES = ("rest", "linear", "large", "real")
 """Origin of a sample's motion; ``real`` is measured on a sensor."""
-FAILED = STATUSES.index("failed")
+FLAGGED, FAILED = STATUSES.index("flagged"), STATUSES.index("failed")
 REAL = THEORIES.index("real")
 
 

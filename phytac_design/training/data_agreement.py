@@ -4,13 +4,16 @@ A force gauge that is stuck, or a log whose rows belong to other pictures, would
 is wrong and states narrow intervals.
 """
 
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
 
 from phytac_decoder.estimation.locator import ContactLocator
-from phytac_design.datasets.samples import FAILED, Samples
+from phytac_design.datasets.samples import FAILED, FLAGGED, Samples
 from phytac_design.training.locator_calibration import match_contacts
+from phytac_design.training.training_data import DataSet
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
 
@@ -28,6 +31,27 @@ EQUAL_MAX, MOVED_MIN = 0.01, 0.25
 the markers contradict that if forces decoded from them scatter by more than the second."""
 SCATTER_MAX = 0.6
 """Scatter of decoded over recorded forces from which on they do not belong together."""
+
+FLAGGED_MAX = 0.25
+"""Share of flagged samples from which on data are doubtful; 0 to 5 % of simulated ones are."""
+
+
+def flagged_share(sets: Sequence[DataSet]) -> str:
+    """Warning if many samples of data sets are flagged, with the usual reason; "" otherwise."""
+    total = flagged = 0
+    reasons: Counter[str] = Counter()
+    for item in sets:
+        samples = item.samples
+        own = np.flatnonzero(samples.status == FLAGGED)
+        total += samples.count
+        flagged += len(own)
+        reasons.update(reason for k in own.tolist() for reason in samples.why(k))
+    if flagged <= FLAGGED_MAX * total:
+        return ""
+    return (
+        f"{flagged} of {total} samples are flagged in the data, most often as: "
+        f"{reasons.most_common(1)[0][0]}; do forces, places and pictures belong together?"
+    )
 
 
 def check_agreement(locator: ContactLocator, samples: Samples) -> str:
@@ -59,7 +83,7 @@ def check_agreement(locator: ContactLocator, samples: Samples) -> str:
             "contacts-elsewhere",
             f"in {len(chosen) - found} of {len(chosen)} samples with a switch on no contact is "
             "found where the data have one pressed: rows and pictures do not belong together; "
-            "check the numbers of the frames (one off?), the clock's --offset, and the positions "
+            "check the numbers of the frames (one off?), the clock's --offset-s, and the positions "
             "and their frame",
         )
     if len(matches.touch) < CONTACTS_MIN:

@@ -14,6 +14,7 @@ from phytac_design.core.json_values import finite
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples
 from phytac_design.design.design_file import design_hash, load_design, shipped_designs
 from phytac_design.design.spec import Design
+from phytac_design.training.data_agreement import flagged_share
 from phytac_design.training.evaluation.contact_scores import LEVEL, RESAMPLES, Bootstrap
 from phytac_design.training.evaluation.decoded_contacts import DecodedContacts, decode_contacts
 from phytac_design.training.evaluation.evaluation_plots import draw
@@ -91,6 +92,16 @@ def evaluate(
                 f"warning: {item.folder} is what this decoder was trained on: these are not "
                 "errors on unseen samples"
             )
+    doubt = flagged_share(sets)
+    if doubt:
+        progress(f"warning: {doubt}")
+    if decoder.model.without_switches and not all(item.meta.simulated for item in sets):
+        raise InputError(
+            "evaluation-without-switches",
+            "this sensor has no switches, and measured contacts are compared with forces on the "
+            "switches that they turn on; evaluate simulated data, or compare single frames with "
+            "phytac decode",
+        )
     decoder = _for_prints(decoder, sets, progress)
     known = find_design(decoder, bundle, design)
     if known is None:

@@ -21,7 +21,7 @@ from phytac_design.simulation.switch_law import switch_law
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import DECODER, assemble_bundle, untrained_model
 from phytac_design.stages.places_stage import receptor_table_of
-from phytac_design.training.data_agreement import check_agreement
+from phytac_design.training.data_agreement import check_agreement, flagged_share
 from phytac_design.training.evaluation.contact_scores import error_summary
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
 from phytac_design.training.fem_calibration import ReceptorSolver
@@ -37,6 +37,7 @@ from phytac_design.training.training_data import (
     split_data_sets,
 )
 from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError
 
 TABLE = "training.json"
 FORMAT, SCHEMA = "phytac-training", "1.0"
@@ -94,6 +95,13 @@ def train(
         If ``out`` cannot be written or holds something else.
     """
     check_design(design)
+    if not design.has_switches:
+        raise InputError(
+            "training-without-switches",
+            f"{design.name} has no switches (receptor.diameter_hole_mm = 0), and a decoder is "
+            "trained on contacts that switches show: use the decoder of its build, or give the "
+            "design switches",
+        )
     sets = read_data_sets(data, design_hash=design_hash(design))
     first = load_bundle(start) if start is not None else None
     with reserve_folder(out, TABLE, design.name, force=force):
@@ -118,9 +126,9 @@ def train(
             check_inputs(item, plain.model, accuracy)
         noise_px = design.camera.noise_centroid_px
         parts = split_data_sets(sets, plain.model, noise_px=noise_px, seed=seed, limit=samples)
-        doubt = _doubt(plain, parts[0])
-        if doubt:
-            progress(f"warning: {doubt}")
+        for doubt in (flagged_share(sets), _doubt(plain, parts[0])):
+            if doubt:
+                progress(f"warning: {doubt}")
         plain, learnt = _with_thresholds(plain, context.sensor, parts[0])
         bundle, trained = run_trainers(
             plain, parts, seed, first, progress, partial(receptor_table_of, context)

@@ -182,6 +182,9 @@ def test_forces_in_another_unit(tmp_path: Path) -> None:
     rows = [f"{k},{k},{-3 - k}" for k in range(9)]
     with refused("rig-force-sign"):
         touched(tmp_path, "frame,marker,force_N", *rows)
+    rows = [f"{k},{k},{3 + k if k != 4 else 1876.54}" for k in range(9)]
+    _, problems = touched(tmp_path, "frame,marker,force_N", *rows)
+    assert "line 6: a force of 1876.54 N, and the sensor is made for up to 25 N" in problems.text()
 
 
 def test_force_vectors_are_taken_apart(tmp_path: Path) -> None:

@@ -244,6 +244,13 @@ def _forces(
             f"to {most:g} N; {guess}convert them to N",
         )
     log.note(
+        np.nan_to_num(force) > ratio_max * most,
+        lambda k: (
+            f"a force of {force[k]:g} N, and the sensor is made for up to {most:g} N; correct or "
+            "remove the row, or raise training.force_max_N"
+        ),
+    )
+    log.note(
         np.nan_to_num(force) < 0.0,
         lambda k: f"the force pulls outward ({force[k]:g} N); {turn}",
     )

@@ -197,6 +197,8 @@ def _remarks(
     for row, measured in zip(out, seen, strict=True):
         row[0] = measured.found.mean() < FOUND_WELL
         row[1] = bool(measured.moved_cameras(rig.bundle, None))
+    if not rig.design.has_switches:
+        return out
     limit = sure * switch_law(rig.design, rig.markers).on_N
     must = share * touches.force_N[:, None] > limit
     np.logical_or.at(out[:, 2], touches.sample, (must & ~bits[touches.sample]).any(axis=1))
@@ -212,8 +214,8 @@ def _elsewhere(remarks: BoolArray) -> str:
         return ""
     return (
         f"in {count} of {len(remarks)} samples the switches that are on are not those that the log "
-        "presses: do its rows belong to these pictures (numbers of frames one off? --offset?), and "
-        "are positions and radii right?"
+        "presses: do its rows belong to these pictures (numbers of frames one off? --offset-s?), "
+        "and are positions and radii right?"
     )
 
 
