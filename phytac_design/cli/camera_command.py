@@ -3,6 +3,7 @@
 import contextlib
 import json
 import shlex
+from math import isfinite
 from typing import Annotated, Any
 
 import typer
@@ -72,15 +73,21 @@ def camera(
         raise typer.Exit(InputError.exit_code)
 
 
+def _known(value: float, digits: int) -> str:
+    """Return a figure, or a question mark where the picture does not show it."""
+    return f"{value:.{digits}f}" if isfinite(value) else "?"
+
+
 def _line(report: dict[str, Any]) -> str:
     """One second in one line."""
     parts = [f"{report['time_s']:5.0f} s"]
     if report["cameras"]:
         parts.append(f"{report['fps']:.1f} fps")
     parts += [
-        f"focus {one['blur_px']:.2f} px blur, brightness {one['brightness']:.0f}, clipped "
-        f"{100.0 * one['clipped']:.1f} %, colour {one['chroma']:.0f}, markers {one['found']}/"
-        f"{one['markers']}, motion {one['motion_px']:.2f}, scatter {one['scatter_px']:.3f} px"
+        f"focus {_known(one['blur_px'], 2)} px blur, brightness {one['brightness']:.0f}, clipped "
+        f"{100.0 * one['clipped']:.1f} %, colour {_known(one['chroma'], 0)}, markers "
+        f"{one['found']}/{one['markers']}, motion {one['motion_px']:.2f}, scatter "
+        f"{one['scatter_px']:.3f} px"
         for one in report["cameras"]
     ]
     return "  ".join([*parts, "; ".join(report["change"]) or "good"])

@@ -240,3 +240,16 @@ def test_a_recording_that_cannot_be_read_as_fast_says_so(tmp_path: Path) -> None
     assert done.exit_code == 4, done.output
     assert "pictures came too late: they cannot be read at 100000 a second" in done.stdout
     assert "leave out --fps" in done.stdout
+
+
+def test_a_picture_without_markers_has_no_colour_and_no_focus() -> None:
+    check = CameraCheck(TOY)
+    blank = np.full_like(IDLE, 90)
+    reports = [
+        check.add(Frame(number=k, timestamp_s=0.1 * k, images=(blank,), ready_s=0.0))
+        for k in range(15)
+    ]
+    shown = next(report for report in reports if report and report["cameras"])
+    assert np.isnan(shown["cameras"][0]["chroma"])
+    assert not any("nan" in text for text in check.problems())
+    assert check.problems()

@@ -444,3 +444,11 @@ def test_contacts_shadows_and_slow_light_are_no_pumping() -> None:
     # A recording that begins again, and frames of another size, are compared with nothing.
     assert monitor.check([IDLE], 0.0) == []
     assert monitor.check([IDLE[::2, ::2]], 0.1) == []
+
+
+@pytest.mark.parametrize("fps", [30.0, 40.0, 60.0, 480.0])
+def test_light_that_alternates_from_frame_to_frame_is_noticed(fps: float) -> None:
+    monitor = ExposureMonitor()
+    dim = (IDLE * 0.75).astype(np.uint8)
+    texts = [monitor.check([(IDLE, dim)[k % 2]], k / fps) for k in range(int(fps))]
+    assert "brightness has changed by 3" in texts[-1][0]

@@ -179,7 +179,9 @@ class CameraCheck:
         # NaN without a marker.
         step = step if len(step) else np.full((1, 2), np.nan)
         common = np.median(step, axis=0)
-        paints = (self._lit or self.bundle).colours.chroma[np.unique(self.bundle.colour[own])]
+        paints = np.full((1, 2), np.nan)  # the design's own say nothing of this picture
+        if self._lit:
+            paints = self._lit.colours.chroma[np.unique(self.bundle.colour[own])]
         return {
             "blur_px": quality.blur_px,
             "blur_max_px": self._blur_max_px(number),
@@ -205,7 +207,7 @@ class CameraCheck:
                 f"markers missing: {figures['found']} of {figures['markers']} found; check light, "
                 "focus and what stands before the camera"
             )
-        if not figures["blur_px"] <= figures["blur_max_px"]:
+        if figures["blur_px"] > figures["blur_max_px"]:
             out.append(
                 f"out of focus: edges are blurred by {figures['blur_px']:.1f} px (at most "
                 f"{figures['blur_max_px']:.1f}); turn the lens, or set --control focus=N"

@@ -29,7 +29,8 @@ class ExposureSettings:
     change_max : float
         Largest relative change in that time without a warning.
     step_s : float
-        Frames that follow sooner are not compared.
+        Two successive frames are compared, then none until this time has passed: light that
+        alternates from frame to frame is seen as well.
     grid : int
         Pixels along each side of the grid.
     usable : (float, float)
@@ -60,6 +61,7 @@ class ExposureMonitor:
         self._last: list[FloatArray] = []
         self._past: deque[tuple[float, FloatArray]] = deque()
         self._found: list[str] = []
+        self._second = False
 
     def check(self, images: Sequence[ImageArray], time_s: float) -> list[str]:
         """Sentences on the brightness of the next frame of each camera; empty for a steady one.
@@ -71,8 +73,10 @@ class ExposureMonitor:
         time_s : float
             When it was taken; earlier than the frame before where a recording begins again.
         """
-        if self._past and 0.0 < time_s - self._past[-1][0] < self.settings.step_s:
+        soon = bool(self._past) and 0.0 < time_s - self._past[-1][0] < self.settings.step_s
+        if soon and self._second:
             return self._found
+        self._second = soon
         now = [self._sample(image) for image in images]
         again = not self._past or time_s < self._past[-1][0]
         if again or [part.shape for part in now] != [part.shape for part in self._last]:
