@@ -122,3 +122,9 @@ def test_a_bad_file_is_one_line(rig: Path) -> None:
     assert out.returncode == 4
     assert len(out.stderr.strip().splitlines()) == 1
     assert "'patch_radius_mm' is missing" in out.stderr
+
+
+def test_an_existing_design_file_is_refused_before_the_fit(rig: Path) -> None:
+    words = ("calibrate", "small.toml", "absent.csv", "--accuracy", "draft")
+    out = phytac(*words, "--out", "small.toml", cwd=rig)
+    assert "output-exists" in out.stderr

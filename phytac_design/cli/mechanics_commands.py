@@ -163,9 +163,12 @@ def calibrate(
     from phytac_design.design.design_file import load_design
     from phytac_design.mechanics.calibration.calibrate_design import (
         calibrate_design,
+        refuse_existing,
         write_calibrated,
     )
 
+    if out:
+        refuse_existing(out)  # before any work
     loaded = load_design(design)
     fit = calibrate_design(
         loaded,

@@ -53,6 +53,12 @@ def measure_paints(
             "paint-unknown",
             f"there is no paint {', '.join(unknown)}; known: {', '.join(PAINTS)}",
         )
+    if design.dots and names != tuple(dict.fromkeys(design.layout.colours)):
+        raise InputError(
+            "paint-not-of-design",
+            f"the markers of {design.name} are {design.dots} dots of one colour; leave --colours "
+            "out",
+        )
     if design.dots:
         found, painted = _dots(photo_bgr, design.dots)
         wall_name = "resin_dark" if design.dots == "white" else "resin"

@@ -360,6 +360,7 @@ def test_positions_are_given_in_three_ways(tmp_path: Path) -> None:
         (GOOD.replace("0.02", "0_02"), "csv-value-invalid"),
         (GOOD.replace("0.02", ""), "csv-value-invalid"),
         (GOOD.replace("0.02", "0,02"), "csv-row-length"),
+        (GOOD + GOOD.splitlines()[1] + "\n", "csv-row-duplicate"),
         (GOOD.replace("force_N", "force"), "csv-column-unknown"),
         (
             GOOD.replace(",force_N", "").replace(",1,", ",").replace(",1.5,", ","),

@@ -17,7 +17,7 @@ from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.measured_paints import measure_paints
 from phytac_design.optics.render_scene import build_scene
 from phytac_shapes.arrays import FloatArray, ImageArray
-from tests.designs import of_shape
+from tests.designs import changed, of_shape
 from tests.refusals import refused
 
 SHAPE = {"diameter_outer_mm": 50.0, "length_mm": 40.0}
@@ -77,6 +77,12 @@ def test_dots_and_their_wall_are_measured(paint: str, wall: str) -> None:
     # Each is nearer to its own than to the nominal one of the other.
     bright, dark = sorted((np.mean(getattr(found, paint)), np.mean(getattr(found, wall))))[::-1]
     assert bright > 2.0 * dark
+
+
+def test_paints_of_a_sensor_with_dots_are_not_named() -> None:
+    dots = changed(layout={"colours": ["white"]}, receptor={"diameter_hole_mm": 0.0})
+    with refused("paint-not-of-design"):
+        measure_paints(np.zeros((9, 9, 3), dtype=np.uint8), dots, ("blue", "green"))
 
 
 def test_own_paints_change_frames_decoder_and_hash() -> None:

@@ -93,6 +93,20 @@ def calibrate_design(
     return fit
 
 
+def refuse_existing(path: Path) -> None:
+    """Refuse to overwrite a design file.
+
+    Raises
+    ------
+    OutputError
+        If the file exists.
+    """
+    if path.exists():
+        raise OutputError(
+            "output-exists", f"{path} exists already; choose another name or remove it"
+        )
+
+
 def write_calibrated(design: Design, fit: Calibration, path: Path) -> Path:
     """Write the design with the fitted modulus, wall and Poisson's ratio.
 
@@ -103,6 +117,7 @@ def write_calibrated(design: Design, fit: Calibration, path: Path) -> Path:
     OutputError
         If the file exists already or cannot be written.
     """
+    refuse_existing(path)
     data = design.model_dump(mode="json")
     data["wall"]["thickness_mm"] = fit.value.thickness
     data["material"] |= {"modulus_MPa": fit.value.modulus, "poisson": fit.value.poisson}
@@ -110,10 +125,6 @@ def write_calibrated(design: Design, fit: Calibration, path: Path) -> Path:
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(to_toml(made))
-    except FileExistsError:
-        raise OutputError(
-            "output-exists", f"{path} exists already; choose another name or remove it"
-        ) from None
     except OSError as error:
         raise OutputError("output-not-writable", f"cannot write {path}: {error.strerror}") from None
     return path

@@ -131,7 +131,16 @@ def _columns(path: Path) -> dict[str, FloatArray]:
         out.append(
             [float(number), *(_number(path, number, *p) for p in zip(names, row, strict=True))]
         )
-    return dict(zip(["line", *names], np.array(out).T, strict=True))
+    table = np.array(out)
+    first, times = np.unique(table[:, 1:], axis=0, return_index=True, return_counts=True)[1:]
+    if (times > 1).any():
+        again = np.flatnonzero((table[:, 1:] == table[first[times.argmax()], 1:]).all(axis=1))
+        raise InputError(
+            "csv-row-duplicate",
+            f"{path} lines {table[again[0], 0]:.0f} and {table[again[1], 0]:.0f} are the same: "
+            "rows that are counted twice make the result look surer than it is; remove one",
+        )
+    return dict(zip(["line", *names], table.T, strict=True))
 
 
 def _check_names(path: Path, names: list[str]) -> None:

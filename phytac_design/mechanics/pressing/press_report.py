@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.layout import Markers
+from phytac_design.mechanics.large.quasi_newton import LINEAR_ERROR_SAFETY
 from phytac_design.mechanics.pressing.press import Press
 
 
@@ -85,10 +86,11 @@ def press_text(result: Press, markers: Markers, *, name: str, tolerance: float) 
         theory = f"linear, about {error:.2g} % off"
     where = f"radius {place.radius_mm:g} mm at (u, v) = ({place.uv[0]:.4g}, {place.uv[1]:.4g})"
     wall = "wall with receptors" if result.receptors else "plain wall"
+    accepted = 100.0 * tolerance / LINEAR_ERROR_SAFETY
     peak = f"peak {result.peak_mm:.4g} mm inward at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
     lines = [
         f"{name}: {place.force_N:g} N inward on a disc of {where}",
-        f"theory: {theory} (estimate; accepted {100.0 * tolerance:g} %); {wall}",
+        f"theory: {theory} (estimate; accepted {accepted:.2g} %); {wall}",
         f"{peak}, {result.centre_mm:.4g} mm at the contact's centre",
         "marker  row column  away mm          tip x, y, z mm               px  wall inward mm",
     ]
