@@ -114,7 +114,7 @@ def test_noise_and_the_error_of_motion_are_told_apart(monkeypatch: pytest.Monkey
         return frame.project(point_mm) + error_px
 
     turned: list[Camera] = []
-    monkeypatch.setattr(predicted_noise, "render_frame", lambda _, c: turned.append(c) or c)
+    monkeypatch.setattr(predicted_noise, "render_frame", lambda _, c, **_k: turned.append(c) or c)
     monkeypatch.setattr(predicted_noise, "add_noise", lambda frame, *_: frame)
     neighbours = draw.integers(0, count, (count, 8))
     neighbours[0] = -1
