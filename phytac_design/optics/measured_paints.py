@@ -149,7 +149,9 @@ def _hues(
             )
         mine = label == cluster[k]
         _check_pixels(name, mine)
-        turned = np.abs(_turned(np.arctan2(own[mine, 1], own[mine, 0]) - hue_rad[cluster[k]]))
+        # On edges, and where a camera records colour coarsely, paint is mixed with the wall.
+        pure = mine & (size >= np.median(size[mine]))
+        turned = np.abs(_turned(np.arctan2(own[pure, 1], own[pure, 0]) - hue_rad[cluster[k]]))
         spread = float(np.degrees(np.percentile(turned, 90.0)))
         if spread > CALIBRATION.separation_min_deg / 2.0:
             raise InputError(

@@ -45,8 +45,8 @@ from phytac_shapes.errors import DesignError
 NearScene = Callable[[float, FloatArray], BoolArray]
 """(spacing mm, places (p, 2) so far apart) -> which of them are wanted, (p,)."""
 HIGHER_ORDER_SPACING = 2.0
-"""Distance of places at which the higher powers of the force are solved, over that of places:
-they are a small part of the shifts, and are interpolated."""
+"""Distance of places at which the higher powers of the force, and force along the surface, are
+solved, over that of places: they are a small part of the shifts, and are interpolated."""
 
 
 NONE = np.zeros(0)
@@ -324,9 +324,13 @@ def tabulate_responses(
             what=", force along the surface",
         )[0]
 
+    # A small part of the surface holds too few places so far apart.
+    apart = HIGHER_ORDER_SPACING * spacing
+    if near(apart, rings(surface, apart, sectors).uv).sum() < PLACES_MIN:
+        apart = spacing
     if orders == 1:
         return TabulatedResponse(
-            places=replace(places, shear=shear(spacing)),
+            places=replace(places, shear=shear(apart)),
             solves=solves,
             bent=0,
             large=0,
@@ -334,10 +338,6 @@ def tabulate_responses(
             spacing_mm=spacing,
             give=[],
         )
-    # A small part of the surface holds too few places so far apart.
-    apart = HIGHER_ORDER_SPACING * spacing
-    if near(apart, rings(surface, apart, sectors).uv).sum() < PLACES_MIN:
-        apart = spacing
     shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=orders)
     unsure = 0
 
