@@ -67,7 +67,6 @@ def build_within(
     """
     from typing import get_args
 
-    from phytac_design.report.verdict import QUICK
     from phytac_design.study.tradeoff.build_to import (
         AUDIT,
         audit_lines,
@@ -102,5 +101,4 @@ def build_within(
         typer.echo(f"  {line}")
     page = out / "report" / "report.json"
     for text in json.loads(page.read_text(encoding="utf-8"))["changes"]:
-        if text.startswith(QUICK):
-            typer.echo(f"to mind: {text}")
+        typer.echo(f"to change or to mind: {text}")

@@ -103,9 +103,8 @@ class Stage:
         Whether it does more where the machine has graphics libraries.
     scene : tuple of str
         Properties of a scene that it reads.
-    tool : bool
-        Whether it makes what a sensor is made with, which only builds with the setting ``tools``
-        have.
+    only_with : str
+        Setting of the accuracy preset without which it makes nothing; "" if it always does.
     gate : callable or None
         Reads the stage's result and returns why the build should stop here; "" to continue.
     finish : callable or None
@@ -124,18 +123,22 @@ class Stage:
     seeded: bool = False
     graphics: bool = False
     scene: tuple[str, ...] = ()
-    tool: bool = False
+    only_with: str = ""
     gate: Callable[[Context], str] | None = None
     finish: Callable[[Design, Path], None] | None = None
 
+    def makes(self, accuracy: Accuracy) -> bool:
+        """Whether it makes anything with these settings."""
+        return not self.only_with or bool(getattr(accuracy, self.only_with))
+
     def make(self, context: Context, folder: Path) -> None:
         """Run, or write why there is no result."""
-        if self.tool and not context.accuracy.tools:
-            why = "quick settings (--set tools=true makes them)"
-            context.progress(f"{self.name}: left out ({why})")
-            write_facts(folder, {"left_out": why, "parts": []})
+        if self.makes(context.accuracy):
+            self.run(context, folder)
             return
-        self.run(context, folder)
+        why = f"quick settings; --set {self.only_with}=true makes it"
+        context.progress(f"{self.name}: left out ({why})")
+        write_facts(folder, {"left_out": why, "parts": []})
 
     def inputs(self, context: Context, keys: dict[str, str]) -> dict[str, Any]:
         """Everything the result depends on, as plain values.
@@ -144,7 +147,7 @@ class Stage:
         an unchanged result reruns nothing. Any other enters by its key.
         """
         settings = context.accuracy.as_dict()
-        read = (*self.settings, "tools") if self.tool else self.settings
+        read = (*self.settings, self.only_with) if self.only_with else self.settings
         values = context.scene.inputs(self.scene) if context.scene else {}
         if "regions" in values:  # which markers belong to a region depends on the footprint
             values["footprint_mm"] = context.design.switch.footprint_diameter_mm

@@ -16,7 +16,7 @@ TARGETS_N = {"cup": 7.5, "egg": 12.0, "ball": 11.0}
 class GripController:
     """Closes by the difference between the wanted and the reported grip.
 
-    It reads observations alone, no truth. It is for one episode: once it lifts, it goes on lifting.
+    It reads observations alone, no truth. Make a new one for each episode: it never stops lifting.
 
     Attributes
     ----------

@@ -45,8 +45,6 @@ SHARE_MIN = 0.9
 """Share of the contacts anywhere that must be read well for a yes (assumed)."""
 SHARE_BAD = 0.5
 """Below this share the answer is no (assumed)."""
-QUICK = "these are quick settings"
-"""How the sentence begins that says what a build left out."""
 SIMULATED = (
     "All decoder figures are in simulation: contacts are solved with a linear shell model (on a "
     "finer mesh than the decoder's own), projected through the camera, and given pixel noise. "
@@ -346,7 +344,7 @@ def _left_out(context: Context) -> list[str]:
     if without:
         sets = " ".join(f"--set {name}=true" for name in without)
         out.append(
-            f"{QUICK}, without {', '.join(without.values())}: build with "
+            f"these are quick settings, without {', '.join(without.values())}: build with "
             f"--accuracy standard, or {sets}"
         )
     why = context.facts("hardware").get("hardware_left_out", "")

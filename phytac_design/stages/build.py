@@ -24,7 +24,6 @@ from phytac_design.engine.stage import EXPORT, Context, Stage
 from phytac_design.report.provenance import package_versions
 from phytac_design.rules.check import check_design
 from phytac_design.stages import STAGES
-from phytac_design.stages.shell_stage import STEP
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import DesignError, OutputError
 
@@ -83,13 +82,9 @@ def select_stages(only: Sequence[str] | None) -> list[Stage]:
 
 
 def with_named(accuracy: Accuracy, only: Sequence[str] | None) -> Accuracy:
-    """Settings with which stages make something that are named though quick settings omit them."""
-    named = set(only or ())
-    return replace(
-        accuracy,
-        tools=accuracy.tools or any(stage.tool and stage.name in named for stage in STAGES),
-        step=accuracy.step or STEP.name in named,
-    )
+    """Settings in which the stages of ``only`` make their files; quick ones leave some out."""
+    needed = {stage.only_with for stage in STAGES if stage.name in (only or ())} - {""}
+    return replace(accuracy, **dict.fromkeys(needed, True))
 
 
 def build(

@@ -67,6 +67,6 @@ KIT = Stage(
     ),
     settings=("cad_tolerance_mm",),
     depends_on=("switch",),
-    tool=True,
+    only_with="tools",
     run=run,
 )

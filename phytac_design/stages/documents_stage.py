@@ -189,6 +189,6 @@ BENCH = Stage(
     ),
     settings=("cad_tolerance_mm",),
     depends_on=("shell", "switch", "printing", *OTHERS),
-    tool=True,
+    only_with="tools",
     run=run,
 )

@@ -64,6 +64,6 @@ INSERTS = Stage(
         "print_rules",
     ),
     settings=("cad_tolerance_mm",),
-    tool=True,
+    only_with="tools",
     run=run,
 )

@@ -110,6 +110,6 @@ MOLD = Stage(
     design_fields=("tubes", "receptor.diameter_hole_mm", "switch", "mold", "strip", "print_rules"),
     settings=("cad_tolerance_mm",),
     depends_on=("switch",),
-    tool=True,
+    only_with="tools",
     run=run,
 )

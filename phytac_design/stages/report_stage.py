@@ -69,7 +69,7 @@ def gather(context: Context) -> dict[str, Any]:
         },
         "cameras": views["cameras"],
         "lens": views["cameras"][0]["lens"],
-        "shell": shell | step,
+        "shell": shell | (step if context.accuracy.step else {}),
         "switch": switch_facts(context),
         "fabrication": fabrication_facts({name: context.facts(name) for name in FABRICATION})
         | {"effort": effort_of(context.sensor).as_dict()},

@@ -51,9 +51,6 @@ def run_step(context: Context, folder: Path) -> None:
     machine without the graphics libraries that CadQuery links, or where OpenCASCADE cannot make the
     solid, the file is left out and the report gives the reason; STL and 3MF need neither.
     """
-    if not context.accuracy.step:
-        write_facts(folder, {})
-        return
     reason = ""
     try:
         solid = shell_cad(context.sensor)
@@ -110,8 +107,8 @@ SHELL = Stage(
 STEP = Stage(
     name="step",
     design_fields=("name", "tubes", "wall", "receptor"),
-    settings=("step",),
     depends_on=("shell",),
     graphics=True,
+    only_with="step",
     run=run_step,
 )

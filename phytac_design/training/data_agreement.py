@@ -33,7 +33,7 @@ SCATTER_MAX = 0.6
 """Scatter of decoded over recorded forces from which on they do not belong together."""
 
 FLAGGED_MAX = 0.25
-"""Share of flagged samples from which on data are doubtful; 0 to 5 % of simulated ones are."""
+"""Share of flagged samples from which on data are doubtful, as in a log that is imported."""
 
 
 def flagged_share(sets: Sequence[DataSet]) -> str:

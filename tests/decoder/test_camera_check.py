@@ -253,3 +253,14 @@ def test_a_picture_without_markers_has_no_colour_and_no_focus() -> None:
     assert np.isnan(shown["cameras"][0]["chroma"])
     assert not any("nan" in text for text in check.problems())
     assert check.problems()
+
+
+def test_a_focus_that_cannot_be_measured_is_no_good_focus() -> None:
+    sharp = {"blur_px": 0.8, "blur_max_px": 2.0, "clipped": 0.0, "brightness": 120.0}
+    still = {"motion_px": 0.0, "scatter_px": 0.0, "found": 30, "markers": 30}
+    check = CameraCheck(TOY)
+    assert check._faults(sharp | still, unread=False) == []
+    (text,) = check._faults(sharp | still | {"blur_px": np.nan}, unread=False)
+    assert text.startswith("focus unknown")
+    (text,) = check._faults(sharp | still | {"blur_px": 2.1}, unread=False)
+    assert text.startswith("out of focus: edges are blurred by 2.1 px")

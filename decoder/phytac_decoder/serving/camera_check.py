@@ -207,7 +207,12 @@ class CameraCheck:
                 f"markers missing: {figures['found']} of {figures['markers']} found; check light, "
                 "focus and what stands before the camera"
             )
-        if figures["blur_px"] > figures["blur_max_px"]:
+        if np.isnan(figures["blur_px"]) and figures["found"]:
+            out.append(
+                "focus unknown: no marker shows an edge that is sharp enough to measure; turn the "
+                "lens, or set --control focus=N"
+            )
+        elif figures["blur_px"] > figures["blur_max_px"]:
             out.append(
                 f"out of focus: edges are blurred by {figures['blur_px']:.1f} px (at most "
                 f"{figures['blur_max_px']:.1f}); turn the lens, or set --control focus=N"

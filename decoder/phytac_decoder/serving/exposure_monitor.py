@@ -61,7 +61,7 @@ class ExposureMonitor:
         self._last: list[FloatArray] = []
         self._past: deque[tuple[float, FloatArray]] = deque()
         self._found: list[str] = []
-        self._second = False
+        self._second = False  # the frame that was compared last followed another at once
 
     def check(self, images: Sequence[ImageArray], time_s: float) -> list[str]:
         """Sentences on the brightness of the next frame of each camera; empty for a steady one.

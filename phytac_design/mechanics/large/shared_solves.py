@@ -72,7 +72,7 @@ class SharedSolves:
             with np.errstate(all="ignore"):  # each thread checks its own numbers
                 solved = self._solve(np.stack([self._asked[k] for k in order], axis=1))
             found = list(np.ascontiguousarray(solved.T))
-        except Exception as error:  # noqa: BLE001  raised by the threads
+        except Exception as error:  # noqa: BLE001  each waiting thread raises it
             found = [error] * len(order)
         self._found |= dict(zip(order, found, strict=True))
         self._asked.clear()
@@ -102,13 +102,13 @@ def side_by_side(solve: Solve, tasks: Sequence[Callable[[], T]]) -> list[T]:
         return [task() for task in tasks]
     solves = SharedSolves(solve, len(tasks))
     found: dict[int, T] = {}
-    errors: dict[int, BaseException] = {}
+    errors: dict[int, Exception] = {}
 
     def run(number: int, task: Callable[[], T]) -> None:
         _OWN.set((solve, solves, number))  # in the context of this thread alone
         try:
             found[number] = task()
-        except BaseException as error:  # noqa: BLE001  raised below
+        except Exception as error:  # noqa: BLE001  raised by the caller's thread, below
             errors[number] = error
         finally:
             solves.leave()

@@ -154,6 +154,7 @@ def plan_scene(
         in_play=int(resolved.in_play.sum()),
     )
     whole = Workload(design).counts(accuracy)
+    # The whole sensor with the same kinds of files.
     same = replace(accuracy, tools=resolved.accuracy.tools, step=resolved.accuracy.step)
     full_amounts = features(whole, same, design)
     amounts = features(counts, resolved.accuracy, resolved.design, resolved.scene)
@@ -188,13 +189,8 @@ def plan_scene(
 
 
 def makers(resolved: Resolved) -> set[str]:
-    """Names of the stages that make something with these settings."""
-    accuracy = resolved.accuracy
-    return {
-        stage.name
-        for stage in resolved.stages
-        if (accuracy.tools or not stage.tool) and (accuracy.step or stage.name != "step")
-    }
+    """Names of the stages of a scene that make something with its settings."""
+    return {stage.name for stage in resolved.stages if stage.makes(resolved.accuracy)}
 
 
 def cached_stages(context: Context, stages: Sequence[Stage]) -> frozenset[str]:
@@ -262,8 +258,9 @@ def how_of(name: str, resolved: Resolved, counts: Counts) -> str:
 
 def why_of(name: str, resolved: Resolved) -> str:
     """Output or stage that needs a stage."""
-    if name in {stage.name for stage in resolved.stages} - makers(resolved):
-        return "quick settings; --set tools=true and step=true make it"
+    own = next((stage for stage in resolved.stages if stage.name == name), None)
+    if own and not own.makes(resolved.accuracy):
+        return f"quick settings; --set {own.only_with}=true makes it"
     outputs = [o for o in resolved.scene.outputs if name in STAGES_OF[o]]
     if outputs:
         return "output " + ", ".join(outputs)

@@ -12,6 +12,7 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.scenario.linear_error import linear_error
 from phytac_design.simulation.scenario.scene_scope import Scope, windows_of
 from phytac_design.stages import STAGES
+from phytac_design.stages.build import with_named
 from phytac_shapes.arrays import BoolArray
 from phytac_shapes.errors import DesignError
 
@@ -123,7 +124,7 @@ def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
             )
     stages = _stages(scene)
     if "fabrication" in scene.outputs:
-        accuracy = replace(accuracy, tools=True, step=True)
+        accuracy = with_named(accuracy, STAGES_OF["fabrication"])
     names = {stage.name for stage in stages}
     off = float("nan")
     if names & {"places", "underload"}:
