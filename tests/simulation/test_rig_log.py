@@ -1,6 +1,7 @@
 """A rig's log and its pictures' names and times, without any picture."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ from phytac_design.simulation.rig_import.rig_frames import (
     open_source,
 )
 from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems, read_rig_log
+from phytac_design.simulation.rig_import.rig_samples import _remarks
 from phytac_shapes.arrays import FloatArray, ImageArray
-from tests.designs import drawn
+from tests.designs import changed, drawn
 from tests.refusals import refused
 
 DESIGN = load_design(str(Path(__file__).parents[2] / "examples" / "rig" / "rig.toml"))
@@ -361,3 +363,19 @@ def test_no_pictures(tmp_path: Path) -> None:
     (tmp_path / "x.mp4").write_bytes(b"no video")
     with refused("file-not-video"):
         open_source(tmp_path / "x.mp4", fps=None)
+
+
+@pytest.mark.parametrize(("hole_mm", "remarked"), [(1.6, True), (0.0, False)])
+def test_a_sensor_without_switches_has_no_remarks_about_them(
+    hole_mm: float, remarked: bool
+) -> None:
+    design = changed(receptor={"diameter_hole_mm": hole_mm})
+    markers = make_markers(design, design.surface())
+    rig = SimpleNamespace(design=design, markers=markers, bundle=None)
+    seen = SimpleNamespace(found=np.ones(markers.count), moved_cameras=lambda *_: [])
+    touches = SimpleNamespace(sample=np.array([0]), force_N=np.array([20.0]))
+    share = np.zeros((1, markers.count))
+    share[0, 7] = 1.0
+    owner = np.full((1, markers.count), -1)
+    found = _remarks(rig, touches, share, [seen], share > 9.0, SimpleNamespace(owner=owner))
+    assert found.tolist() == [[False, False, remarked, False]]

@@ -47,6 +47,16 @@ def test_every_stage_has_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert plan.error == {}
 
 
+@pytest.mark.parametrize("output", ["report", "fabrication"])
+def test_a_draft_plans_what_is_printed_and_cast_only_where_it_is_asked_for(output: str) -> None:
+    rows = {row.stage: row for row in planned(small(), scene(outputs=[output])).rows}
+    for name, setting in (("step", "step"), ("mold", "tools"), ("bench", "tools")):
+        made = output == "fabrication"
+        assert (rows[name].action != "left out") == made
+        assert bool(rows[name].loses) != made
+        assert (f"--set {setting}=true" in rows[name].why) != made
+
+
 def test_whole_and_limited_counts() -> None:
     design = small()
     plan = planned(design, scene())
