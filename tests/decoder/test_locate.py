@@ -104,6 +104,21 @@ def test_one_contact_between_places(force: float) -> None:
     assert contact.markers.tolist() == [nearest(at)]
 
 
+def test_switches_that_are_no_neighbours_may_be_of_one_contact() -> None:
+    ends = [nearest(point(27.0, 33.0)), nearest(point(39.0, 33.0))]
+    # The switch between them is stuck; noise decides which of two contacts would take the force.
+    noise = 0.02 * np.random.default_rng(1).normal(size=(4, 2 * COUNT))
+    for k, at in enumerate([(33.0, 33.0), (31.0, 33.0), (33.0, 34.0), (34.5, 33.0)]):
+        (contact,) = find(shifts(point(*at), 8.0) + noise[k], ends)
+        assert contact.force_N == pytest.approx(8.0, rel=0.02)
+        assert contact.point_mm == pytest.approx(point(*at), abs=0.3)
+        assert sorted(contact.markers) == sorted(ends)
+    # Two whose discs overlap remain two.
+    places, forces = [point(29.0, 33.0), point(37.0, 33.0)], [5.0, 9.0]
+    two = sorted(find(together(places, forces), ends), key=lambda found: found.force_N)
+    assert [found.force_N for found in two] == pytest.approx(forces, rel=0.1)
+
+
 def test_points_about_one_place_or_each_its_own_have_the_same_coordinates() -> None:
     places = flat_places()
     tilted = replace(places, along=places.along + np.array([0.0, 0.0, 0.3]))

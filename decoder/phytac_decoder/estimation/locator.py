@@ -347,7 +347,8 @@ class ContactLocator:
         force = self._switch_forces(seen)
         groups = [np.array(group) for group in group_key_nodes(seen.koi, self.neighbours)]
         starts = [self._start(seen.koi, force, rows) for rows in groups]
-        best = self._fit(starts, seen)
+        best, starts = self._joined(self._fit(starts, seen), starts, force, seen)
+        groups = [np.flatnonzero(np.isin(seen.koi, start.markers)) for start in starts]
         apart = self._out_of_reach(best, seen.koi)
         explained = best.reduced_chi2 < SETTINGS.chi2_unexplained and not apart.any()
         # Noise that is not known may be far too large: then χ² is no criterion.
@@ -377,6 +378,32 @@ class ContactLocator:
             if best.cost - more.cost >= drop and self._could_be_off(more, seen.koi):
                 best, starts = more, [*starts, start]
         return best
+
+    def _joined(
+        self,
+        best: ContactFit,
+        starts: list[ContactState],
+        force: SwitchForces,
+        seen: ShiftObservation,
+    ) -> tuple[ContactFit, list[ContactState]]:
+        """Join contacts that overlap, as long as one explains as much; also where it starts.
+
+        Switches of one contact need not be neighbours: those between may need a larger force.
+        """
+        points = np.stack([centre_of(self.places, state) for state in best.states])
+        radius = self._radii(best.states)
+        for k in range(len(starts) - 1, 0, -1):
+            gap = np.linalg.norm(points[:k] - points[k], axis=1) - radius[:k] - radius[k]
+            near = int(np.argmin(gap))
+            if gap[near] >= 0.0:
+                continue
+            own = np.concatenate([starts[near].markers, starts[k].markers])
+            both = self._start(seen.koi, force, np.flatnonzero(np.isin(seen.koi, own)))
+            fewer = [*starts[:near], both, *starts[near + 1 : k], *starts[k + 1 :]]
+            less = self._fit(fewer, seen)
+            if less.cost - best.cost < SETTINGS.chi2_drop * max(best.reduced_chi2, 1.0):
+                best, starts = less, fewer
+        return best, starts
 
     def _may_gain(
         self,
