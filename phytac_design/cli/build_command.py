@@ -50,7 +50,7 @@ def build(
     budget: Annotated[
         str | None,
         typer.Option(
-            help="Use the finest settings that take at most this time, such as 60s or 5m."
+            help="Use the finest settings that take at most this time, such as 60s or 5min."
         ),
     ] = None,
     scene: Annotated[

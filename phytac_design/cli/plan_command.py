@@ -117,7 +117,10 @@ def print_plan(made: "BuildPlan") -> None:
             f"noise and print scatter; allowed {100.0 * scene.error_allowed:g} %"
         )
         if made.error["force"] > scene.error_allowed:
-            say("warning: more than the scene allows; take a finer --accuracy, or allow more")
+            fix = "take a finer --accuracy, or allow more"
+            if made.error.get("flat wall", 0.0) > scene.error_allowed:
+                fix = "allow more, or train the decoder: finer settings do not help on flat walls"
+            say(f"warning: more than the scene allows; {fix}")
 
 
 def print_audit(done: dict[str, Any], out: Path) -> None:

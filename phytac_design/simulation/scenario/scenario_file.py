@@ -389,7 +389,7 @@ class SolveSection(Section):
     neighbours hide when pressed (3 times slower)."""
     samples_per_pixel: int = Field(54, ge=1, le=216)
     """Of `frames`: samples of a pixel, each lattice of k² through another point of the aperture: 54
-    are six of 3², 24 six of 2², 96 six of 4². What is no k² times six or more is taken singly."""
+    are six of 3², 24 six of 2², 96 six of 4². Any other number is taken as single samples."""
     local: StrictBool = True
     """Whether only the touched part of the wall is modelled finely."""
 

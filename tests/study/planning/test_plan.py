@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from phytac_design.cli import plan_command
 from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design
 from phytac_design.design.scene import Scene, load_scene
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
@@ -92,6 +93,13 @@ def test_theory_follows_the_pilot() -> None:
     )
     assert weak.accuracy.place_orders == 1
     assert strong.accuracy.place_orders == 4
+    # Tables of several powers are not extrapolated from finer meshes, as linear ones of drafts are.
+    assert strong.accuracy.refine == PRESETS["draft"].refine + 1
+    assert "4 elements" in strong.why["mesh"]
+    assert "mesh" not in weak.why
+    mild = resolve(small(), scene(contacts={"force_max_N": 0.6}), PRESETS["draft"])
+    assert mild.accuracy.place_orders == 1
+    assert mild.accuracy.refine == PRESETS["draft"].refine
     # Its first term grows with the force.
     ratio = strong.linear_error / weak.linear_error
     assert 20.0 < ratio < 70.0
@@ -148,6 +156,18 @@ def test_the_command_prints_the_plan_and_json() -> None:
     report = json.loads(plain.stdout)
     assert report["predicted"]["seconds"] >= 0.0
     assert {row["stage"] for row in report["stages"]} == {stage.name for stage in STAGES}
+
+
+def test_flat_walls_add_to_the_predicted_error(capsys: pytest.CaptureFixture[str]) -> None:
+    finger = load_scene("fingertip")
+    curved = plan_scene(load_design("cylinder60"), finger, accuracy=PRESETS["standard"])
+    flat = plan_scene(load_design("plane"), finger, accuracy=PRESETS["standard"])
+    assert "flat wall" not in curved.error
+    assert curved.error["force"] < finger.error_allowed < 0.1 < flat.error["force"]
+    plan_command.print_plan(curved)
+    assert "more than the scene allows" not in capsys.readouterr().err
+    plan_command.print_plan(flat)
+    assert "finer settings do not help on flat walls" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("worst", "warned"), [(0.26, True), (0.019, False)])

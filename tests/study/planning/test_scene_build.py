@@ -15,8 +15,16 @@ from phytac_design.simulation.dataset import Dataset
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import BuildResult, run_stages, select_stages
 from phytac_design.stages.decoder_stage import tips_in_play
+from phytac_design.study.planning import run_plan as run_plan_module
 from phytac_design.study.planning.plan import BuildPlan, plan_scene
-from phytac_design.study.planning.run_plan import force_errors, reference_presses, run_plan
+from phytac_design.study.planning.run_plan import (
+    Progress,
+    ReferencePresses,
+    audit,
+    force_errors,
+    reference_presses,
+    run_plan,
+)
 from tests.designs import small
 from tests.study.planning.scenes import scene
 
@@ -168,6 +176,23 @@ def test_audit_stands_beside_the_plan(result: BuildResult, planned: BuildPlan) -
     assert error["presses"] >= 3
     assert 0.0 < error["actual"] < 0.3
     assert error["predicted"] == planned.error["force"]
+
+
+def test_the_audit_presses_a_finer_shell_than_the_draft_has(
+    result: BuildResult, planned: BuildPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refines = []
+
+    def presses(context: Context, progress: Progress) -> ReferencePresses:
+        refines.append(context.accuracy.truth_refine)
+        return reference_presses(context, 1, progress)
+
+    monkeypatch.setattr(run_plan_module, "reference_presses", presses)
+    context = planned.resolved.context()
+    context.folders.update(result.folders)
+    audit(planned, context, ran={}, used_s=0.0, progress=quiet)
+    assert refines == [PRESETS["standard"].truth_refine]
+    assert refines[0] > planned.resolved.accuracy.truth_refine
 
 
 def test_a_second_build_takes_all_from_the_cache(result: BuildResult, tmp_path: Path) -> None:
