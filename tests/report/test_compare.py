@@ -1,8 +1,10 @@
 """Builds side by side: figures, differences, one scale, what cannot be compared, the page."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from phytac_design.report.compare import (
     compare_page,
     comparison,
     differences,
+    figures_table,
     same_scales,
 )
 from phytac_design.stages.build import BuildResult
@@ -79,6 +82,22 @@ def test_figures_and_differences(builds: list[Build], folders: tuple[Path, Path]
     assert f"<td><strong>{worst:.4g}</strong></td>" in html
     assert '<th scope="row">fused markers</th><td><strong>0</strong></td><td>3</td>' in html
     assert "layout.height_far_mm" in html
+
+
+def test_broken_print_rules_are_compared_of_the_same_parts_alone(builds: list[Build]) -> None:
+    def row(tools: bool) -> str:
+        each = []
+        for build, broken, own in zip(builds, (2, 0), (True, tools), strict=True):
+            facts = {**build.report["fabrication"], "print_violations": broken}
+            accuracy = {**build.report["accuracy"], "tools": own}
+            each.append(
+                replace(build, report={**build.report, "fabrication": facts, "accuracy": accuracy})
+            )
+        (found,) = re.findall("places that break print rules.*?</tr>", figures_table(each))
+        return str(found)
+
+    assert "<td><strong>0</strong></td>" in row(tools=True)
+    assert "strong" not in row(tools=False)
 
 
 def test_the_best_is_marked_where_there_is_one() -> None:
