@@ -152,6 +152,6 @@ PROGRAMS: dict[str, Callable[[Sequence[str]], str]] = {
 }
 FREE = {
     "cd", "ls", "cat", "cp", "ssh", "git", "pip", "uv", "sbatch", "srun", "jupyter", "source",
-    "v4l2-ctl", "export", "openssl", "umask",
+    "v4l2-ctl", "ffmpeg", "export", "openssl", "umask",
 }  # fmt: skip
 """Programs of others, whose words are not checked."""

@@ -24,7 +24,7 @@ from tests.docs.parser import OWN_SHAPES, fault, inline_fault
 ALL = commands(PAGES)
 RUN = {
     "check", "new", "shapes", "press", "mesh", "decode", "scenarios", "plan", "cache",
-    "sweep", "optimise", "export",
+    "sweep", "optimise", "export", "schema",
 }  # fmt: skip
 """Commands that run here if the fixture ``shop`` has their files; all others are parsed only."""
 PARSED = {
@@ -46,6 +46,8 @@ PARSED = {
     "tradeoff": "minutes; tests/study",
     "import": "needs a decoder of the rig; tests/simulation/test_rig.py",
     "import-markers": "needs public data; tests/test_marker_data.py",
+    "convert": "needs a recording; tests/test_recording.py",
+    "export-onnx": "needs a trained decoder; tests/test_onnx.py",
 }
 """Commands that are parsed only, why, and where they are tested."""
 FILE = re.compile(r"/|\.[A-Za-z]")

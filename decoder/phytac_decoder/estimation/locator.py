@@ -386,9 +386,9 @@ class ContactLocator:
         force: SwitchForces,
         seen: ShiftObservation,
     ) -> tuple[ContactFit, list[ContactState]]:
-        """Join contacts that overlap, as long as one explains as much; also where it starts.
+        """Join contacts that overlap where one explains as much; return the fit and its starts.
 
-        Switches of one contact need not be neighbours: those between may need a larger force.
+        Switches of one contact need not be neighbours: one between them may need a larger force.
         """
         points = np.stack([centre_of(self.places, state) for state in best.states])
         radius = self._radii(best.states)
