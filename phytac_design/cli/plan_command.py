@@ -119,7 +119,7 @@ def print_plan(made: "BuildPlan") -> None:
         if made.error["force"] > scene.error_allowed:
             fix = "take a finer --accuracy, or allow more"
             if made.error.get("flat wall", 0.0) > scene.error_allowed:
-                fix = "allow more, or train the decoder: finer settings do not help on flat walls"
+                fix = "allow more: finer settings do not help on flat walls"
             say(f"warning: more than the scene allows; {fix}")
 
 

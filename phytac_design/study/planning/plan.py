@@ -12,12 +12,12 @@ from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage
+from phytac_design.geometry.curvature import curvatures
 from phytac_design.mechanics.large.quasi_newton import LINEAR_ERROR_SAFETY
 from phytac_design.stages import STAGES
 from phytac_design.study.planning.cost import Counts, Workload, features, machine_factor, predict
 from phytac_design.study.planning.resolve import STAGES_OF, Resolved, resolve
 from phytac_design.study.planning.unit_costs import MEMORY_MB, CPU_s
-from phytac_design.study.search.surrogate import curvatures
 
 LOST = {
     "views": "no pictures; nothing is known of what the camera sees",

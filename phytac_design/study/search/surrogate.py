@@ -25,6 +25,7 @@ from scipy.special import j1
 
 from phytac_decoder.camera.camera import Camera, stack_views
 from phytac_design.design.spec import Design
+from phytac_design.geometry.curvature import curvatures
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.shell.receptor_stiffness import mean_factors
@@ -103,20 +104,6 @@ class MetricLengths:
             )
             for own, (k_u, k_v) in zip(girth, bent, strict=True)
         ]
-
-
-def curvatures(surface: Surface, uv: FloatArray) -> FloatArray:
-    """Curvatures (n, 2) along the chart's lines, 1/mm, positive where the outer face is convex."""
-    out = []
-    for axis, (low, high) in enumerate(surface.domain):
-        step = np.zeros(2)
-        step[axis] = 1e-4 * (high - low)
-        inner = np.clip(uv, surface.domain[:, 0] + step, surface.domain[:, 1] - step)
-        tangent = surface.tangents(inner)[:, axis]
-        turn = (surface.normal(inner + step) - surface.normal(inner - step)) / (2.0 * step[axis])
-        size = np.maximum(np.sum(tangent**2, axis=1), 1e-12)
-        out.append(np.sum(turn * tangent, axis=1) / size)
-    return np.stack(out, axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
