@@ -47,8 +47,6 @@ class CalibrationSettings:
     scatter_growth_max: float = 1.05
     """With few samples, the stiffness field is dropped if held-out forces scatter by more."""
     noise_change: tuple[float, float] = (0.25, 4.0)
-    place_min_mm: float = 0.3
-    """Smallest standard deviation of the prior place."""
     contacts_min: int = 10
     """Contacts that a prior or a correction needs; fewer determine only the stiffness, and
     intervals stay as wide as by design: residuals of a few contacts do not show the spread."""
@@ -343,7 +341,7 @@ def _fit_prior(locator: ContactLocator, samples: Samples, chosen: IntArray) -> C
     if int(alone.sum()) >= SETTINGS.contacts_min:
         gap = touches.point_mm[truth.touch[alone]] - locator.position_mm[truth.marker[alone]]
         each = float(np.sqrt(np.sum(gap**2, axis=1).mean() / 2.0))
-        prior = replace(prior, place_mm=max(each, SETTINGS.place_min_mm))
+        prior = replace(prior, place_mm=max(each, locator.prior.place_mm))
     sized = np.flatnonzero(np.isin(touches.sample, chosen) & (touches.radius_mm > 0.0))
     if len(sized) >= SETTINGS.contacts_min:
         moments = _moments_over_disc(locator, touches, sized)

@@ -1,4 +1,4 @@
-"""Areas that two discs share."""
+"""Areas that two discs share, and discs that a straight edge cuts off."""
 
 import numpy as np
 
@@ -20,6 +20,19 @@ def disc_overlap_share(
     half_b = np.arccos(np.clip((d * d + b * b - a * a) / (2.0 * d * b), -1.0, 1.0))
     lens = a * a * segment(half_a) + b * b * segment(half_b)
     return np.asarray(np.clip(lens / (np.pi * a * a), 0.0, 1.0))
+
+
+def cut_disc_centroid(gap: FloatArray, radius: FloatArray | float) -> FloatArray:
+    """Distance from a straight edge of the centroid of the part of a disc on its own side.
+
+    Parameters
+    ----------
+    gap : (...) float
+        Distance of the disc's centre from the edge, >= 0; broadcast with ``radius``, > 0, mm.
+    """
+    d, a = np.broadcast_arrays(np.asarray(gap, dtype=np.float64), radius)
+    half = np.arccos(np.minimum(d / a, 1.0))
+    return np.asarray(d + 2.0 / 3.0 * a * np.sin(half) ** 3 / (np.pi - segment(half)))
 
 
 def segment(half: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ from tests.decoder.flat_samples import NOISE_PX, PLACE_MM, STIFFNESS, pressed
 from tests.decoder.flat_sensor import MARKERS, flat_locator
 from tests.refusals import refused
 
-LOCATOR = flat_locator(place_mm=3.0, noise_px=0.1)
+LOCATOR = flat_locator(place_mm=PLACE_MM, noise_px=0.1)
 
 
 @cache
@@ -50,10 +50,19 @@ def taught() -> tuple[ContactLocator, dict[str, Any]]:
 def test_stiffness_noise_and_prior_are_found() -> None:
     assert taught()[1]["stiffness"] == pytest.approx(STIFFNESS, rel=0.03)
     assert taught()[1]["noise_px"] == pytest.approx(NOISE_PX, rel=0.15)
-    assert taught()[1]["place_mm"] == pytest.approx(PLACE_MM, rel=0.2)
     assert taught()[0].prior.moments_sd_mm2[0] == pytest.approx(1.4, rel=0.3)
     rms_px = np.sqrt(np.mean(np.square(taught()[0].noise.each_px)))
     assert taught()[1]["noise_px"] == pytest.approx(rms_px)
+
+
+@pytest.mark.parametrize(("design_mm", "found_mm"), [(3.0, 3.0), (0.4, PLACE_MM)])
+def test_places_are_not_expected_where_presses_were(design_mm: float, found_mm: float) -> None:
+    """A list of presses hits receptors; a hand does not. Presses farther away are learnt from."""
+    prior = replace(LOCATOR.prior, place_mm=design_mm)
+    learnt, facts = calibrate_locator(
+        replace(LOCATOR, prior=prior), training(), np.arange(60), force_max_N=25.0
+    )
+    assert learnt.prior.place_mm == facts["place_mm"] == pytest.approx(found_mm, rel=0.2)
 
 
 def test_new_contacts_are_read_better_by_far() -> None:

@@ -457,6 +457,5 @@ def test_a_contact_beyond_the_disc_is_in_doubt_by_its_longest_side() -> None:
     more = turn @ np.diag([3.0, 1.0]) @ turn.T
     moments = ((more[0, 0], more[0, 1], more[1, 1]), (-1.0, 0.0, -2.0))
     states: Any = [SimpleNamespace(x=np.array([5.0, 0.0, 0.0, *own, 0.0, 0.0])) for own in moments]
-    error_N = ContactLocator._force_by_extent(places, states)
-    share = SETTINGS.extent_share
-    np.testing.assert_allclose(error_N, [share * 3.0 / 4.0 * 5.0, 0.0], atol=1e-12)
+    error = ContactLocator._share_by_extent(places, states)
+    np.testing.assert_allclose(error, [SETTINGS.extent_share * 3.0 / 4.0, 0.0], atol=1e-12)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phytac_decoder.estimation import locator as search
 from phytac_decoder.estimation.contact_estimates import LocatedContact
 from phytac_decoder.estimation.contact_fit import ShiftNoise
 from phytac_decoder.estimation.contact_shifts import ContactState
@@ -13,6 +14,7 @@ from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
     MARKERS,
+    PITCH_MM,
     RADIUS_MM,
     flat_locator,
     nearest,
@@ -121,3 +123,18 @@ def test_more_contacts_than_fingers_are_no_contacts(monkeypatch: pytest.MonkeyPa
     shift = np.random.default_rng(3).normal(0.0, 1.0, (len(MARKERS), 2))
     with_fitted_noise(flat_locator(place_mm=0.3)).find(shift, every)
     assert 1 <= max(counts) <= SETTINGS.separate_max
+
+
+def test_of_too_many_groups_of_switches_the_strongest_are_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """25 single switches seem on, and two are pressed."""
+    monkeypatch.setattr(search, "SETTINGS", replace(SETTINGS, separate_max=6))
+    single = np.flatnonzero((MARKERS[:, :2] % (2.0 * PITCH_MM) == 3.0).all(axis=1))
+    at = [MARKERS[single[7]], MARKERS[single[18]]]
+    found = find(together(at, [9.0, 14.0]), single.tolist())
+    assert len(single) == 25
+    assert len(found) == 6
+    for point, force in zip(at, (9.0, 14.0), strict=True):
+        near = min(found, key=lambda one: float(np.linalg.norm(one.point_mm - point)))
+        assert near.force_N == pytest.approx(force, rel=0.05)

@@ -88,8 +88,8 @@ def test_switches_out_of_reach_are_another_contact_however_faint() -> None:
 
 
 def test_a_contact_far_from_its_switch_is_sure_where_its_place_is() -> None:
-    seen = shifts(point(1.0, 30.0), 5.0).reshape(-1, 2)
-    (sure,) = predicting().find(seen, np.array([nearest(point(9.0, 30.0))])).contacts
+    seen = shifts(point(13.0, 30.0), 5.0).reshape(-1, 2)
+    (sure,) = predicting().find(seen, np.array([nearest(point(21.0, 30.0))])).contacts
     assert sure.raw_sd_N < 0.3
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from phytac_decoder.estimation import locator
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.datasets.samples import Samples
 from phytac_design.training import locator_calibration, stiffness_field
@@ -17,12 +18,19 @@ from phytac_design.training.marker_gain import (
 )
 from phytac_design.training.stiffness_field import SETTINGS, StiffnessField
 from phytac_shapes.arrays import BoolArray, FloatArray
-from tests.decoder.flat_samples import NOISE_PX, STIFFNESS, pressed
+from tests.decoder.flat_samples import NOISE_PX, PLACE_MM, STIFFNESS, pressed
 from tests.decoder.flat_sensor import MARKERS, flat_locator
 
-LOCATOR = flat_locator(place_mm=3.0, noise_px=NOISE_PX)
+LOCATOR = flat_locator(place_mm=PLACE_MM, noise_px=NOISE_PX)
 PLAIN = replace(LOCATOR, places=LOCATOR.places.scaled(STIFFNESS))
 N = len(MARKERS)
+
+
+@pytest.fixture(autouse=True)
+def _no_rim(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing cuts off the discs of this sensor: its shifts are those of whole ones."""
+    settings = replace(locator.SETTINGS, rim_power=0.0)
+    monkeypatch.setattr(locator, "SETTINGS", settings)
 
 
 def hilly(point_mm: FloatArray) -> FloatArray:

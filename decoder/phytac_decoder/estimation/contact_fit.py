@@ -228,8 +228,10 @@ class ContactFit:
     ----------
     states : list of ContactState
         The contacts.
+    each_px : list of (2n,) float
+        Shifts by each.
     pressed_px, predicted_px : (2n,) float
-        Their shifts, without and with motion of the cameras.
+        Their sum, without and with motion of the cameras.
     inverse : (2n,) float
         Weights: the inverse variance of each shift, reduced for outliers, 0 where a marker was not
         found.
@@ -249,6 +251,7 @@ class ContactFit:
     """
 
     states: list[ContactState]
+    each_px: list[FloatArray]
     pressed_px: FloatArray
     predicted_px: FloatArray
     inverse: FloatArray
@@ -339,14 +342,14 @@ def fit_contacts(
     if camera_motion:
         weight[split:, split:] = camera_motion.prior
     cache = InteractionCache(pairs=places.pairs) if places.pairs else None
-    change, robust = np.inf, False
+    change, robust, parts = np.inf, False, before.each_px if before else []
     for number in range(iterations + 1):
         if before and number == 0:
             pressed, total, slope = before.pressed_px, before.predicted_px, before.slope
         else:
-            parts = predicted_shifts(places, states, cache)
-            pressed = sum((part for part, _ in parts), start=np.zeros(len(seen.shift_px)))
-            slopes = [each for _, each in parts]
+            both = predicted_shifts(places, states, cache)
+            parts, slopes = [part for part, _ in both], [each for _, each in both]
+            pressed = sum(parts, start=np.zeros(len(seen.shift_px)))
             total = pressed
             if camera_motion:
                 total = pressed + camera_motion.shift_px(b)
@@ -375,6 +378,7 @@ def fit_contacts(
     covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
     return ContactFit(
         states=states,
+        each_px=parts,
         pressed_px=pressed,
         predicted_px=total,
         inverse=inverse,

@@ -94,6 +94,23 @@ def predicted_shifts(
     return add_interactions(images, likeness, force, places.softening[own], parts, linear)
 
 
+def changed_by_others(
+    places: ResponseTable, states: Sequence[ContactState], each_px: Sequence[FloatArray]
+) -> FloatArray:
+    """Return how far contacts change each other's shifts: (c,), over those of each alone.
+
+    Parameters
+    ----------
+    each_px : sequence of (2n,) float
+        Their shifts together, by :func:`predicted_shifts`.
+    """
+    if len(states) < 2:
+        return np.zeros(len(states))
+    alone = [single_contact_shifts(state, places.orders, top_N=places.top_N)[0] for state in states]
+    change = np.linalg.norm(np.subtract(each_px, alone), axis=1)
+    return np.asarray(change / np.maximum(np.linalg.norm(alone, axis=1), 1e-9))
+
+
 def centre_of(places: ResponseTable, state: ContactState) -> FloatArray:
     """Return the centre (3,) mm of a contact."""
     x, y = state.x[1:3]

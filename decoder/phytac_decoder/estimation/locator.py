@@ -30,14 +30,20 @@ from phytac_decoder.estimation.contact_fit import (
     initial_state,
 )
 from phytac_decoder.estimation.contact_grouping import assign_to_contacts, group_key_nodes
-from phytac_decoder.estimation.contact_shifts import SHEAR_START, UNKNOWNS, ContactState, centre_of
+from phytac_decoder.estimation.contact_shifts import (
+    SHEAR_START,
+    UNKNOWNS,
+    ContactState,
+    centre_of,
+    changed_by_others,
+)
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.friction_prior import SHEAR_SPREAD, average_over_friction
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
 from phytac_decoder.estimation.place_average import INTERVAL_SDS, PlaceAverage
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.discs import disc_overlap_share
+from phytac_shapes.discs import cut_disc_centroid, disc_overlap_share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +51,10 @@ class LocatorSettings:
     """Settings of the search for contacts, chosen on simulated contacts and virtual prints."""
 
     separate_max: int = 20
-    """Most contacts into which groups of switches are divided: twice the fingers of two hands. More
-    are an error of the picture (in another light than the rest frame's, half of all switches may
-    seem on), and a fit of 40 takes a second. Such groups are fitted as one contact each."""
+    """Most contacts with switches: twice the fingers of two hands. More groups of switches are an
+    error of the picture (in another light than the rest frame's, half of all switches may seem on),
+    and 50 contacts take ten seconds: the strongest are fitted, and switches without one are
+    reported. Groups are not divided into more, either."""
     unswitched_max: int = 4
     """Largest number of contacts without a switch."""
     chi2_drop: float = 40.0
@@ -99,11 +106,19 @@ class LocatorSettings:
     """Warm-started frames between searches for unswitched contacts."""
     reinitialise_after_frames: tuple[int, int] = (480, 16)
     """Frames after which contacts are searched for again, without and with an unswitched one."""
-    extent_share: float = 0.006
+    extent_share: float = 0.012
     """Error of the force of a contact that is wider than the tables' disc, for each time that its
     largest second moment exceeds that of the disc: its pressure has a shape, which the moments do
     not describe. Discs of 1.75 and twice the radius are read 0.5 to 1.5 % and 2 to 5 % off, strips
     of 16 to 28 mm 2 to 3 %."""
+    interaction_share: float = 0.4
+    """Error of a force, over the share of the shifts that other contacts change: by nine pads of
+    6 to 25 N on ``cylinder60``. Tables hold interactions to second order."""
+    rim_power: float = 1.25
+    """Power with which shifts fall towards a clamped rim, over that between tabulated discs: these
+    have 1.2 on ``cylinder60``, smaller and nearer discs 1.3 to 1.5."""
+    rim_radii: tuple[float, float] = (0.4, 1.3)
+    """Radii of discs that press beside a rim, over that of the tables' disc."""
     moment_min: float = 0.2
     """Smallest second moment of a contact, over that of the tables' disc."""
 
@@ -346,6 +361,8 @@ class ContactLocator:
         """Fit the contacts whose switches are on."""
         force = self._switch_forces(seen)
         groups = [np.array(group) for group in group_key_nodes(seen.koi, self.neighbours)]
+        groups.sort(key=lambda rows: -float(force.force_N[rows].sum()))
+        groups = sorted(groups[: SETTINGS.separate_max], key=lambda rows: int(rows[0]))
         starts = [self._start(seen.koi, force, rows) for rows in groups]
         best, starts = self._joined(self._fit(starts, seen), starts, force, seen)
         groups = [np.flatnonzero(np.isin(seen.koi, start.markers)) for start in starts]
@@ -695,10 +712,16 @@ class ContactLocator:
             return replace(out, hidden_N=hidden_N)
         states, covariances = self._averaged(found, accepted, seen)
         sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-        sd[:, 0] = np.hypot(sd[:, 0], self._force_by_extent(states))
         points = np.stack([centre_of(self.places, state) for state in states])
-        radius = self._radii(states)
         raw = np.array([state.x[0] for state in states])
+        changed = changed_by_others(self.places, best.states, best.each_px)
+        share = [
+            self._share_by_extent(states),
+            self._share_by_rim(points, sd[:, 1:3]),
+            SETTINGS.interaction_share * changed[accepted],
+        ]
+        sd[:, 0] = np.hypot(sd[:, 0], raw * np.linalg.norm(share, axis=0))
+        radius = self._radii(states)
         gap, covered = self._covered(points, radius, koi)
         # A switch that no disc reaches belongs to the contact that it started.
         started = np.array([np.isin(koi, state.markers) for state in states])
@@ -756,13 +779,23 @@ class ContactLocator:
         beyond_N = force_N * share / np.maximum(1.0 - share, 1e-9)
         return np.minimum(beyond_N, np.maximum(largest_N - force_N, force_N * share)) / 1.645
 
-    def _force_by_extent(self, states: Sequence[ContactState]) -> FloatArray:
-        """Return the error (c,) N of contacts that are too large for their second moments alone."""
+    def _share_by_extent(self, states: Sequence[ContactState]) -> FloatArray:
+        """Return the error (c,) of contacts that are too large for second moments alone."""
         xx, xy, yy = np.array([state.x[3:SHEAR_START] for state in states]).T
         longest = (xx + yy) / 2.0 + np.hypot((xx - yy) / 2.0, xy)
         excess = np.maximum(longest, 0.0) / (self.places.radius_mm**2 / 4.0)
-        force = np.array([state.x[0] for state in states])
-        return np.asarray(SETTINGS.extent_share * excess * force)
+        return np.asarray(SETTINGS.extent_share * excess)
+
+    def _share_by_rim(self, points_mm: FloatArray, sd_mm: FloatArray) -> FloatArray:
+        """Return the error (c,) of contacts whose disc the end of the surface may cut off.
+
+        How strongly these move the markers depends on their radius, which the markers hardly show.
+        """
+        radius_mm = self.places.radius_mm * np.linspace(*SETTINGS.rim_radii, 8)
+        gap = self.places.end_distance_mm(points_mm) - sd_mm.max(axis=1)
+        depth = cut_disc_centroid(np.maximum(gap, 0.0)[:, None], radius_mm)
+        power = SETTINGS.rim_power * self.places.end_power(points_mm)
+        return np.asarray(np.expm1(power * np.log(depth).std(axis=1)))
 
     def _averaged(
         self, found: FitState, accepted: Sequence[int], seen: ShiftObservation

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.discs import cut_disc_centroid
 
 if TYPE_CHECKING:
     from phytac_decoder.mechanics.interaction_table import InteractionTable
@@ -174,14 +175,41 @@ class ResponseTable:
 
     def end_distance_mm(self, points_mm: FloatArray) -> FloatArray:
         """Return how far points (m, 3) are from the end of the surface, (m,); inf without one."""
-        ends, inward = self.ends
-        if not len(ends):
+        if not len(self.ends[0]):
             return np.full(len(points_mm), np.inf)
+        return np.asarray(self._near_ends(points_mm)[1].min(axis=1))
+
+    def _near_ends(self, points_mm: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the end places nearest to points (m, 3), and the distances inward, (m, q) each.
+
+        The nearest few: at a corner two ends are near.
+        """
+        ends, inward = self.ends
         arm = points_mm[:, None] - ends
-        # The nearest few: at a corner two ends are near.
         order = np.argsort(np.linalg.norm(arm, axis=2), axis=1)[:, :END_PLACES]
         across = np.einsum("mri,ri->mr", arm, inward)
-        return np.asarray(np.take_along_axis(across, order, axis=1).min(axis=1))
+        return order, np.take_along_axis(across, order, axis=1)
+
+    def end_power(self, points_mm: FloatArray) -> FloatArray:
+        """Return how the shifts per newton fall towards the end nearest to points (m, 3), (m,).
+
+        It is the power of the distance between the centroid of the pressure and the end, from discs
+        on the end to those one radius farther in: about 1 at a clamped end.
+        """
+        if not len(self.ends[0]):
+            return np.zeros(len(points_mm))
+        return self._end_powers[self._near_ends(points_mm)[0][:, 0]]
+
+    @cached_property
+    def _end_powers(self) -> FloatArray:
+        """Those of all end places, (r,)."""
+        ends, inward = self.ends
+        near, far = self.nearest(ends), self.nearest(ends + self.radius_mm * inward)
+        size = np.maximum(np.linalg.norm(self.shift_px[:, 0], axis=1), 1e-12)
+        depth = cut_disc_centroid(self.end_distance_mm(self.point_mm[far]), self.radius_mm)
+        deeper = np.log(depth / cut_disc_centroid(np.zeros(len(ends)), self.radius_mm))
+        lower = np.maximum(np.log(size[far] / size[near]), 0.0)
+        return np.asarray(lower / np.maximum(deeper, 1e-3))
 
     def tangent_coordinates(
         self, places: int | Sequence[int] | IntArray, points_mm: FloatArray

@@ -32,6 +32,7 @@ from phytac_design.mechanics.shell.receptor_stiffness import mean_factors
 from phytac_design.simulation.cramer_rao import CramerRaoBound, cell_prior, contact_signals
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.discs import cut_disc_centroid
 
 FORCE_N = 10.0
 """Force at which bounds are stated."""
@@ -242,12 +243,8 @@ class Deflection:
 
 def inside(x: float, length: float, radius_mm: float) -> float:
     """Centre of the part of a disc that lies between 0 and a length."""
-    gap = min(x, length - x)
-    if gap >= radius_mm:
-        return x
-    chord = np.sqrt(radius_mm**2 - gap**2)
-    area = radius_mm**2 * (np.pi - np.arccos(gap / radius_mm)) + gap * chord
-    return float(x + np.sign(length / 2.0 - x) * 2.0 / 3.0 * chord**3 / area)
+    gap = float(cut_disc_centroid(np.array(min(x, length - x)), radius_mm))
+    return gap if x <= length / 2.0 else length - gap
 
 
 def deflection_under_disc(

@@ -1,0 +1,126 @@
+"""Errors of forces that the tables do not describe, and how wide intervals are for them."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from phytac_decoder.estimation import locator as search
+from phytac_decoder.estimation.contact_estimates import LocatedContact
+from phytac_decoder.estimation.contact_shifts import changed_by_others, predicted_shifts
+from phytac_decoder.estimation.locator import ContactLocator
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.discs import cut_disc_centroid
+from tests.decoder.flat_sensor import (
+    MARKERS,
+    RADIUS_MM,
+    flat_locator,
+    nearest,
+    per_newton,
+)
+from tests.decoder.test_pairs import AT, FORCES_N, aware, pressed, states
+
+NOISE_PX = 0.02
+
+
+def test_centroid_of_a_disc_that_an_edge_cuts_off() -> None:
+    step = np.linspace(-1.0, 1.0, 2001)
+    x, y = np.meshgrid(step, step)
+    disc = x**2 + y**2 <= 1.0
+    for gap, radius in ((0.0, 3.0), (0.7, 3.0), (2.9, 3.0), (1.0, 8.0)):
+        depth = (gap + radius * x)[disc]
+        mean = depth[depth >= 0.0].mean()
+        assert cut_disc_centroid(np.array(gap), radius) == pytest.approx(mean, rel=1e-3)
+    gaps = np.array([[3.0], [5.0]])
+    assert cut_disc_centroid(gaps, np.array([1.0, 3.0])) == pytest.approx(np.tile(gaps, (1, 2)))
+
+
+def fallen(x_mm: float, radius_mm: float) -> float:
+    """Share of the motion that a rim at x = 0 leaves of a disc's, as it cuts the disc off."""
+    depth = float(cut_disc_centroid(np.array(max(x_mm, 0.0)), radius_mm))
+    return min(depth / 15.0, 1.0) ** 1.4
+
+
+@cache
+def clamped() -> ContactLocator:
+    """The flat sensor, linear, clamped at x = 0."""
+    plain = flat_locator(noise_px=NOISE_PX, place_mm=3.0)
+    places = plain.places
+    share = np.array([fallen(x, RADIUS_MM) for x in places.point_mm[:, 0]])
+    rows = (places.shift_px[:, :1] * share[:, None, None]).astype(np.float32)
+    prior = replace(plain.prior, force_N=25.0)
+    return replace(plain, places=replace(places, shift_px=rows), prior=prior)
+
+
+def test_shifts_fall_towards_a_clamped_end_by_a_power() -> None:
+    points = np.array([[1.0, 30.0, 0.0], [59.0, 30.0, 0.0]])
+    near, far = clamped().places.end_power(points) - flat_locator().places.end_power(points)
+    assert near == pytest.approx(1.4, abs=0.05)
+    assert far == pytest.approx(0.0, abs=1e-3)
+
+
+def found(seed: int) -> tuple[float, LocatedContact]:
+    """Force of a disc of any size beside the clamped end, and what is found of it."""
+    rng = np.random.default_rng(seed)
+    at = np.array([rng.uniform(0.0, 2.5), rng.uniform(15.0, 45.0), 0.0])
+    force, radius = rng.uniform(4.0, 25.0), RADIUS_MM * rng.uniform(0.4, 1.3)
+    motion = force * fallen(at[0], radius) * per_newton(at)
+    motion = motion + rng.normal(0.0, NOISE_PX, 2 * len(MARKERS))
+    one = clamped().find(motion.reshape(-1, 2), np.array([nearest(at)]))
+    return force, one.contacts[0]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_forces_of_discs_that_a_rim_cuts_off(known: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small discs beside a rim read as weak ones: intervals hold them if that is known."""
+    if not known:
+        monkeypatch.setattr(search, "SETTINGS", replace(search.SETTINGS, rim_power=0.0))
+    pairs = [found(seed) for seed in range(60)]
+    inside = np.mean([abs(one.force_N - force) <= 1.645 * one.sd_N for force, one in pairs])
+    assert (inside >= 0.85) == known
+
+
+def test_far_from_the_end_a_disc_is_whole() -> None:
+    sd_mm = np.full((2, 2), 0.5)
+    points = np.array([[1.0, 30.0, 0.0], [20.0, 30.0, 0.0]])
+    near, far = clamped()._share_by_rim(points, sd_mm)
+    assert near > 0.3
+    assert far == 0.0
+    # A place that is poorly known may be nearer.
+    unsure, _ = clamped()._share_by_rim(points, sd_mm + np.array([[0.5, 0.0], [0.0, 0.0]]))
+    assert unsure > near
+
+
+def changed(locator: ContactLocator, count: int = 2) -> FloatArray:
+    """How far contacts of :mod:`tests.decoder.test_pairs` change each other."""
+    some = states(locator.places)[:count]
+    each_px = [part for part, _ in predicted_shifts(locator.places, some)]
+    return changed_by_others(locator.places, some, each_px)
+
+
+def test_how_far_contacts_change_each_other() -> None:
+    assert (changed(aware(flat_locator()), 1) == 0.0).all()
+    assert (changed(flat_locator()) == 0.0).all()
+    places = aware(flat_locator()).places
+    alone = [predicted_shifts(places, [one])[0][0] for one in states(places)]
+    together = sum(part for part, _ in predicted_shifts(places, states(places)))
+    change = np.linalg.norm(together - np.sum(alone, axis=0))
+    assert change > 0.0
+    # Each takes a part of the change.
+    total = changed(aware(flat_locator())) @ [np.linalg.norm(one) for one in alone]
+    assert total == pytest.approx(change, rel=0.1)
+
+
+def test_forces_that_others_change_are_less_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    koi = np.array(sorted(nearest(at) for at in AT))
+    motion, locator = pressed(AT, FORCES_N).reshape(-1, 2), aware(flat_locator())
+    sd_N = []
+    for share in (0.0, 0.4):
+        settings = replace(search.SETTINGS, interaction_share=share, rim_power=0.0)
+        monkeypatch.setattr(search, "SETTINGS", settings)
+        contacts = locator.find(motion, koi).contacts
+        sd_N.append(np.array([one.raw_sd_N for one in contacts]))
+    more = np.sqrt(sd_N[1] ** 2 - sd_N[0] ** 2) / [one.raw_N for one in contacts]
+    expected = 0.4 * changed(locator)
+    assert sorted(more) == pytest.approx(sorted(expected), rel=0.05)
