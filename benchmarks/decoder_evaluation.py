@@ -105,6 +105,10 @@ def locate_all(model: ForceModel, samples: Samples) -> list[ContactDetection | N
     ]
 
 
+SILENT_NEAR_MM = 5.0
+"""Distance within which a contact without a switch is the pressed one; its radius if larger."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Claims:
     """Contacts that ``auto`` found, beside what was pressed; arrays run over m matched ones.
@@ -119,12 +123,12 @@ class Claims:
         Contacts with a switch that was read which were found as two, or together with another.
     pressed_silent, found_silent : int
         Contacts that tripped no switch, in frames with one that is on, and those of them that
-        were found within 5 mm all the same.
+        were found all the same: within their radius, or :data:`SILENT_NEAR_MM`.
     claimed_silent : int
         Contacts found by motion alone.
     nothing_N, nothing_mm : (k,) float
-        Force of those of them without any pressed contact within 5 mm that tripped no
-        switch, and how far off the nearest contact is that did trip one.
+        Force of those of them that are none of these, and how far off the nearest contact is
+        that did trip a switch.
     """
 
     touch: IntArray
@@ -176,7 +180,9 @@ def claims_of(
         unmatched += int((~np.isin(read, [row[0] for row in matched])).sum())
         here = np.arange(start[sample], start[sample + 1])
         quiet = here[~tripped[here] & (touches.force_N[here] > 0.0)]
-        counts, wrong = _silent(one, touches.point_mm[quiet], touches.point_mm[here[tripped[here]]])
+        reach = np.maximum(touches.radius_mm[quiet], SILENT_NEAR_MM)
+        tripping = here[tripped[here]]
+        counts, wrong = _silent(one, touches.point_mm[quiet], reach, touches.point_mm[tripping])
         silent += counts
         nothing += wrong
     touch = np.array([row[0] for row in rows], dtype=np.int64)
@@ -195,7 +201,7 @@ def claims_of(
 
 
 def _silent(
-    one: ContactDetection, quiet_mm: FloatArray, others_mm: FloatArray
+    one: ContactDetection, quiet_mm: FloatArray, reach_mm: FloatArray, others_mm: FloatArray
 ) -> tuple[IntArray, list[tuple[float, float]]]:
     """What was found by motion alone in a sample.
 
@@ -205,6 +211,8 @@ def _silent(
         What was found.
     quiet_mm, others_mm : (q, 3), (p, 3) float
         Contacts that tripped no switch, and those that did.
+    reach_mm : (q,) float
+        How far off the former are found.
 
     Returns
     -------
@@ -216,7 +224,7 @@ def _silent(
     claimed = [c for c in one.contacts if len(c.markers) == 0]
     found, nothing = np.zeros(len(quiet_mm), dtype=np.bool_), []
     for contact in claimed:
-        near = np.linalg.norm(quiet_mm - contact.point_mm, axis=1) <= 5.0
+        near = np.linalg.norm(quiet_mm - contact.point_mm, axis=1) <= reach_mm
         found |= near
         if not near.any():
             gap = np.linalg.norm(others_mm - contact.point_mm, axis=1).min(initial=np.inf)

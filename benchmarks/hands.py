@@ -31,6 +31,7 @@ from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
+from phytac_design.training.evaluation.contact_scores import interval_coverage
 from phytac_design.training.locator_calibration import calibrate_locator
 from phytac_design.training.training_data import DataSet
 from phytac_design.workflows.simulate import observe_rest
@@ -51,7 +52,7 @@ class Elsewhere:
 
     touch: dict[str, object] = field(default_factory=dict)
     scenario: str = "platform"
-    unit: int = 1
+    units: tuple[int, ...] = (1,)
     modulus: float = 1.0
     modulus_within: float = 0.0
     """Half the range of the modulus, over that of the data, which is drawn for each sample."""
@@ -79,7 +80,7 @@ def _elsewhere(design: Design) -> dict[str, Elsewhere]:
         "modulus +10 %": Elsewhere(modulus=1.1),
         "modulus -10 %": Elsewhere(modulus=0.9),
         "modulus drawn within 10 %": Elsewhere(modulus_within=0.1, stiffness_change=0.06),
-        "another instance": Elsewhere(unit=2),
+        "other instances": Elsewhere(units=tuple(range(2, 12))),
     }
 
 
@@ -238,12 +239,15 @@ def add_elsewhere(table: Table, *, quick: bool) -> None:
     bundle = learnt(by_design(context), random_subset(training, train, seed=0), shear=True)
     bundle = replace(bundle, learnt_rest_px=_rest_px(design, 1, accuracy)[None])
     for name, case in _elsewhere(design).items():
-        data = _read_set(design, name, case, samples=count, accuracy=accuracy, solve=solve)
-        model = for_this_print(replace(bundle, rest_px=_rest_px(design, case.unit, accuracy))).model
-        assert model.locator is not None
-        locator = replace(model.locator, stiffness_change=case.stiffness_change)
-        model = replace(model, locator=locator)
-        judged = evaluate_decoder(context, model, data, estimators=["auto"])
+        judged = []
+        for unit in case.units:
+            samples = -(-count // len(case.units))
+            data = _read_set(design, name, case, unit, samples, accuracy=accuracy, solve=solve)
+            model = for_this_print(replace(bundle, rest_px=_rest_px(design, unit, accuracy))).model
+            assert model.locator is not None
+            locator = replace(model.locator, stiffness_change=case.stiffness_change)
+            model = replace(model, locator=locator)
+            judged.append(evaluate_decoder(context, model, data, estimators=["auto"]))
         head = f"{design.name} learnt on unit 1, read: {name}"
         _add_elsewhere_rows(table, head, judged)
 
@@ -252,8 +256,9 @@ def _read_set(
     design: Design,
     name: str,
     case: Elsewhere,
-    *,
+    unit: int,
     samples: int,
+    *,
     accuracy: Preset,
     solve: dict[str, object],
 ) -> DataSet:
@@ -263,13 +268,14 @@ def _read_set(
     job = job_of(
         made,
         scenario=case.scenario,
-        unit=case.unit,
+        unit=unit,
         accuracy=accuracy,
         solve=solve,
         touch={**touch, **case.touch},
     )
     same = "as learnt" if case.modulus_within else name
     folder = f"hands-{design.name}-{same.replace(' ', '-').replace('%', '')}".rstrip("-")
+    folder += f"-{unit}" * (len(case.units) > 1)
     found, meta = data_set(folder, job)
     found = _stiffened(found, case.modulus_within)
     data = set_of(folder, found, meta)
@@ -304,19 +310,32 @@ def replace_modulus(design: Design, factor: float) -> Design:
     return parse_design(data, design.name)
 
 
-def _add_elsewhere_rows(table: Table, head: str, judged: Evaluation) -> None:
-    """Errors, intervals and what was missed or invented, of one condition."""
-    decoded, claims = judged.decoded, judged.claims
-    share = np.abs(decoded.decoded_N["auto"] - decoded.force_N) / decoded.force_N
-    middle = judged.group("height", "middle")
-    ghosts = claims.nothing_N[claims.nothing_N > GHOST_N]
-    frames = judged.data.samples.count
-    covered = 100.0 * claims.covered
-    wide = 100.0 * float(np.median(claims.sd_N / claims.truth_N))
-    note = (
-        f"{covered:.3g} % of {len(claims.force_N)} contacts; standard deviation {wide:.2g} % of "
-        f"the force; {claims.unmatched} contacts as two or together with another"
+def _add_elsewhere_rows(table: Table, head: str, judged: list[Evaluation]) -> None:
+    """Errors, intervals and what was missed or invented, of one condition, over all prints."""
+    claims = [one.claims for one in judged]
+    share = np.concatenate(
+        [
+            np.abs(one.decoded.decoded_N["auto"] - one.decoded.force_N) / one.decoded.force_N
+            for one in judged
+        ]
     )
+    middle = np.concatenate([one.group("height", "middle") for one in judged])
+    nothing = np.concatenate([one.nothing_N for one in claims])
+    ghosts = nothing[nothing > GHOST_N]
+    frames = sum(one.data.samples.count for one in judged)
+    force, sd, truth = (
+        np.concatenate([getattr(one, name) for one in claims])
+        for name in ("force_N", "sd_N", "truth_N")
+    )
+    covered = 100.0 * interval_coverage(force, sd, truth, level=0.9)
+    note = (
+        f"{covered:.3g} % of {len(force)} contacts; standard deviation "
+        f"{100.0 * float(np.median(sd / truth)):.2g} % of the force; "
+        f"{sum(one.unmatched for one in claims)} contacts as two or together with another"
+    )
+    if len(judged) > 1:
+        each = [100.0 * one.covered for one in claims]
+        note += f"; of single prints {min(each):.3g} to {max(each):.3g} %"
     case = f"{head}: share within 90 % intervals, distance from 90 %"
     table.add(case, abs(covered - 90.0), "%", "", "project target", "<= 5", note)
     for where, mask in (("middle heights", middle), ("whole surface", np.ones_like(middle))):

@@ -75,11 +75,16 @@ def surface_class(markers: Markers) -> str:
     return "perpendicular" if bool(np.all(lean >= np.sqrt(1.0 - aligned**2))) else "oblique"
 
 
-def density_map(surface: Surface, markers: Markers) -> DensityMap:
-    """Share the sensing area among the markers, by distance in space between outer points."""
-    # Cells that the surface is cut into to share its area among markers, at least.
-    map_cells = 20_000
-    cells = max(map_cells, 40 * markers.count)
+MAP_CELLS = 20_000
+"""Cells that the surface is cut into to share its area among markers, at least."""
+
+
+def density_map(surface: Surface, markers: Markers, *, cells: int = MAP_CELLS) -> DensityMap:
+    """Share the sensing area among the markers, by distance in space between outer points.
+
+    At least 40 of the ``cells`` belong to a marker, in the mean.
+    """
+    cells = max(cells, 40 * markers.count)
     (u0, u1), (v0, v1) = surface.domain
     middle = surface.metric(np.array([[(u0 + u1) / 2.0, (v0 + v1) / 2.0]]))[0]
     long, wide = (u1 - u0) * np.sqrt(middle[0, 0]), (v1 - v0) * np.sqrt(middle[1, 1])
@@ -107,11 +112,11 @@ def density_map(surface: Surface, markers: Markers) -> DensityMap:
     )
 
 
-def density_of(surface: Surface, markers: Markers) -> Density:
+def density_of(surface: Surface, markers: Markers, *, cells: int = MAP_CELLS) -> Density:
     """Marker density of the outer face (paper: 368 on ø60 x 120, 1.63 per cm²)."""
     # The published sensor's, a record for surfaces *parallel* to the optical axis.
     paper_per_cm2 = 1.63
-    local = density_map(surface, markers)
+    local = density_map(surface, markers, cells=cells)
     area = float(local.area_mm2.sum()) / 100.0
     kind, per_cm2 = surface_class(markers), markers.count / area
     return Density(
