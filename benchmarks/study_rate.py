@@ -43,11 +43,11 @@ def rate(table: Table, *, quick: bool) -> None:
             f"{wall:.1f} s of wall time; rules {1e3 * _mean(able, 'rules'):.0f} ms, sampled "
             f"{1e3 * _mean(able, 'sampled'):.0f} ms"
         )
-        table.add(row, len(able) / own, "1/s", 10, SOURCE, ">= 10", note)
+        table.add(row, len(able) / own, "1/s", 10, SOURCE, ">= 30", note)
         spent, looked, done = spent + seconds, looked + each, done + len(able)
     row = "designs a second and core, all that were drawn"
     note = f"{looked} designs, of which {done} pass the rules; refused ones stop there"
-    table.add(row, looked / spent, "1/s", 10, SOURCE, ">= 10", note)
+    table.add(row, looked / spent, "1/s", 10, SOURCE, ">= 30", note)
 
 
 def _mean(outcomes: list[Outcome], rung: str) -> float:

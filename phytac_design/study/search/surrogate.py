@@ -19,11 +19,13 @@ by the mean of their factors (:mod:`phytac_design.mechanics.shell.receptor_stiff
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import j1
 
 from phytac_decoder.camera.camera import Camera, stack_views
+from phytac_design.core.kernels import kernel
 from phytac_design.design.spec import Design
 from phytac_design.geometry.curvature import curvatures
 from phytac_design.layout import Markers
@@ -153,12 +155,9 @@ class Waves:
         """Values and slopes (1/mm), (n, m) each, at x (n,) mm."""
         k = self.number / self.length
         if self.closed:
-            high = np.where(self.number > 0.0, np.sqrt(2.0), 1.0)
-            # Powers of one phase factor: far cheaper than a cosine for each wave.
-            phase = np.repeat(np.exp(1j * k[1] * x)[:, None], len(k), axis=1)
-            phase[:, 0] = 1.0
-            phase = np.cumprod(phase, axis=1)
-            return high * phase.real, -high * k * phase.imag
+            value, slope = np.empty((2, len(x), len(k)))
+            _cosines(x, k, value, slope)
+            return value, slope
         angle = np.outer(x, k)
         sine, cosine = np.sin(angle), np.cos(angle)
         down, up, sigma = self._edges(angle)
@@ -180,6 +179,22 @@ class Waves:
         return (1.0 + sigma) / 2.0 * np.exp(-angle), end * np.exp(angle - n), sigma
 
 
+@kernel
+def _cosines(x: FloatArray, k: FloatArray, value: FloatArray, slope: FloatArray) -> None:
+    """Write cosines of multiples k (m,) of one wave at x (n,), whose mean square is 1, and slopes.
+
+    By powers of one phase factor: far cheaper than a cosine for each wave.
+    """
+    high = np.sqrt(2.0)
+    for i in range(len(x)):
+        step_re, step_im = np.cos(k[1] * x[i]), np.sin(k[1] * x[i])
+        re, im = 1.0, 0.0
+        value[i, 0], slope[i, 0] = 1.0, 0.0
+        for j in range(1, len(k)):
+            re, im = re * step_re - im * step_im, re * step_im + im * step_re
+            value[i, j], slope[i, j] = high * re, -high * k[j] * im
+
+
 def clamped_sigma(number: FloatArray) -> FloatArray:
     """(cosh - cos) / (sinh - sin) of a clamped beam's modes (m,), which cannot overflow."""
     small = np.exp(-number)
@@ -187,6 +202,7 @@ def clamped_sigma(number: FloatArray) -> FloatArray:
     return np.asarray(above / (1.0 - small**2 - 2.0 * small * np.sin(number)))
 
 
+@lru_cache(maxsize=64)
 def waves(length: float, *, closed: bool, count: int = 36) -> Waves:
     """Return the first ``count`` functions of a direction of a face."""
     if closed:
@@ -243,7 +259,7 @@ class Deflection:
 
 def inside(x: float, length: float, radius_mm: float) -> float:
     """Centre of the part of a disc that lies between 0 and a length."""
-    gap = float(cut_disc_centroid(np.array(min(x, length - x)), radius_mm))
+    gap = float(cut_disc_centroid(np.array(min(x, length - x)), max(radius_mm, 1e-6)))
     return gap if x <= length / 2.0 else length - gap
 
 
