@@ -159,6 +159,7 @@ def job_of(
     samples: int | None = None,
     route: Route = "points",
     accuracy: Preset = "standard",
+    seed: int = SEED,
     **tables: dict[str, object],
 ) -> Job:
     """A shipped scenario on a unit, as ``phytac simulate`` with these options has it."""
@@ -166,7 +167,7 @@ def job_of(
     tables["unit"] = {**tables.get("unit", {}), "number": unit}
     if samples is not None:
         tables["touch"] = {**tables.get("touch", {}), "samples": samples}
-    return Job(design=design, scenario=changed(scenario, **tables), seed=SEED, accuracy=accuracy)
+    return Job(design=design, scenario=changed(scenario, **tables), seed=seed, accuracy=accuracy)
 
 
 def small_design() -> Design:

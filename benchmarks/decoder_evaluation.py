@@ -106,7 +106,8 @@ def locate_all(model: ForceModel, samples: Samples) -> list[ContactDetection | N
 
 
 SILENT_NEAR_MM = 5.0
-"""Distance within which a contact without a switch is the pressed one; its radius if larger."""
+"""Distance within which a contact that was found without a switch counts as a pressed one, or that
+one's radius if larger."""
 
 
 @dataclass(frozen=True, kw_only=True)

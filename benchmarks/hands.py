@@ -15,6 +15,7 @@ from functools import cache, partial
 import numpy as np
 
 from benchmarks.decoder_data import (
+    SEED,
     DataSetSpec,
     chosen,
     data_set,
@@ -52,7 +53,8 @@ class Elsewhere:
 
     touch: dict[str, object] = field(default_factory=dict)
     scenario: str = "platform"
-    units: tuple[int, ...] = (1,)
+    prints: tuple[tuple[int, int], ...] = ((SEED, 1),)
+    """Seed and unit of each print; the seed draws its contacts, too."""
     modulus: float = 1.0
     modulus_within: float = 0.0
     """Half the range of the modulus, over that of the data, which is drawn for each sample."""
@@ -80,7 +82,7 @@ def _elsewhere(design: Design) -> dict[str, Elsewhere]:
         "modulus +10 %": Elsewhere(modulus=1.1),
         "modulus -10 %": Elsewhere(modulus=0.9),
         "modulus drawn within 10 %": Elsewhere(modulus_within=0.1, stiffness_change=0.06),
-        "other instances": Elsewhere(units=tuple(range(2, 12))),
+        "other instances": Elsewhere(prints=tuple((SEED + 1 + k, 2) for k in range(10))),
     }
 
 
@@ -237,13 +239,13 @@ def add_elsewhere(table: Table, *, quick: bool) -> None:
     training, _ = DataSetSpec(name=f"hands-{design.name}-0.8", job=job, train=train).parts()
     context = mechanics(design, accuracy)
     bundle = learnt(by_design(context), random_subset(training, train, seed=0), shear=True)
-    bundle = replace(bundle, learnt_rest_px=_rest_px(design, 1, accuracy)[None])
+    bundle = replace(bundle, learnt_rest_px=_rest_px(design, (SEED, 1), accuracy)[None])
     for name, case in _elsewhere(design).items():
         judged = []
-        for unit in case.units:
-            samples = -(-count // len(case.units))
-            data = _read_set(design, name, case, unit, samples, accuracy=accuracy, solve=solve)
-            model = for_this_print(replace(bundle, rest_px=_rest_px(design, unit, accuracy))).model
+        for own in case.prints:
+            samples = -(-count // len(case.prints))
+            data = _read_set(design, name, case, own, samples, accuracy=accuracy, solve=solve)
+            model = for_this_print(replace(bundle, rest_px=_rest_px(design, own, accuracy))).model
             assert model.locator is not None
             locator = replace(model.locator, stiffness_change=case.stiffness_change)
             model = replace(model, locator=locator)
@@ -256,7 +258,7 @@ def _read_set(
     design: Design,
     name: str,
     case: Elsewhere,
-    unit: int,
+    own: tuple[int, int],
     samples: int,
     *,
     accuracy: Preset,
@@ -268,14 +270,15 @@ def _read_set(
     job = job_of(
         made,
         scenario=case.scenario,
-        unit=unit,
+        seed=own[0],
+        unit=own[1],
         accuracy=accuracy,
         solve=solve,
         touch={**touch, **case.touch},
     )
     same = "as learnt" if case.modulus_within else name
     folder = f"hands-{design.name}-{same.replace(' ', '-').replace('%', '')}".rstrip("-")
-    folder += f"-{unit}" * (len(case.units) > 1)
+    folder += f"-{own[0]}" * (len(case.prints) > 1)
     found, meta = data_set(folder, job)
     found = _stiffened(found, case.modulus_within)
     data = set_of(folder, found, meta)
@@ -296,9 +299,10 @@ def _stiffened(samples: Samples, within: float) -> Samples:
 
 
 @cache
-def _rest_px(design: Design, unit: int, accuracy: Preset) -> FloatArray:
+def _rest_px(design: Design, own: tuple[int, int], accuracy: Preset) -> FloatArray:
     """Rest positions (n, 2) of a print, as its data set would hold them."""
-    found = observe_rest(job_of(design, unit=unit, samples=1, accuracy=accuracy), lambda _: None)
+    job = job_of(design, seed=own[0], unit=own[1], samples=1, accuracy=accuracy)
+    found = observe_rest(job, lambda _: None)
     assert not isinstance(found.rest, str)
     return found.rest.rest_px
 
@@ -335,7 +339,12 @@ def _add_elsewhere_rows(table: Table, head: str, judged: list[Evaluation]) -> No
     )
     if len(judged) > 1:
         each = [100.0 * one.covered for one in claims]
-        note += f"; of single prints {min(each):.3g} to {max(each):.3g} %"
+        stiffness = [np.median(one.truth_N / one.force_N) for one in claims]
+        note += (
+            f"; of single prints {min(each):.3g} to {max(each):.3g} %, with {min(stiffness):.2f} "
+            f"to {max(stiffness):.2f} times the stiffness, standard deviation "
+            f"{100.0 * float(np.std(stiffness)):.2g} %"
+        )
     case = f"{head}: share within 90 % intervals, distance from 90 %"
     table.add(case, abs(covered - 90.0), "%", "", "project target", "<= 5", note)
     for where, mask in (("middle heights", middle), ("whole surface", np.ones_like(middle))):

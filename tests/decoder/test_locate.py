@@ -358,7 +358,7 @@ def test_without_switches_nothing_is_solved() -> None:
 
 def test_spread_is_that_of_many_noisy_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     # These contacts have the shape of the tables'.
-    known_shape = replace(locator_module.SETTINGS, extent_share=0.0)
+    known_shape = replace(locator_module.SETTINGS, extent_error=0.0)
     monkeypatch.setattr(locator_module, "SETTINGS", known_shape)
     locator = replace(LOCATOR, noise=replace(LOCATOR.noise, share=0.0))
     rng = np.random.default_rng(1)
@@ -450,12 +450,13 @@ def test_same_shifts_same_contacts() -> None:
 
 
 def test_a_contact_beyond_the_disc_is_in_doubt_by_its_longest_side() -> None:
-    places: Any = SimpleNamespace(places=SimpleNamespace(radius_mm=4.0))
-    # A disc of 4 mm has the second moment 4 mm². Of two contacts one is 1 and 3 mm² larger, along
-    # axes turned by 30 degrees; the other is smaller.
+    # Of two contacts one has second moments that are 1 and 3 mm² larger than the disc's, along axes
+    # turned by 30 degrees; the other is smaller.
     turn = np.array([[np.sqrt(0.75), -0.5], [0.5, np.sqrt(0.75)]])
     more = turn @ np.diag([3.0, 1.0]) @ turn.T
     moments = ((more[0, 0], more[0, 1], more[1, 1]), (-1.0, 0.0, -2.0))
     states: Any = [SimpleNamespace(x=np.array([5.0, 0.0, 0.0, *own, 0.0, 0.0])) for own in moments]
-    error = ContactLocator._share_by_extent(places, states)
-    np.testing.assert_allclose(error, [SETTINGS.extent_share * 3.0 / 4.0, 0.0], atol=1e-12)
+    far_from_ends = np.array([point(30.0, 30.0), point(30.0, 20.0)])
+    error = LOCATOR._errors_of_tables(states, far_from_ends, np.zeros((2, 2)))
+    disc = RADIUS_MM**2 / 4.0
+    np.testing.assert_allclose(error, [SETTINGS.extent_error * 3.0 / disc, 0.0], atol=1e-12)

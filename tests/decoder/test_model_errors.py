@@ -22,6 +22,10 @@ from tests.decoder.flat_sensor import (
 from tests.decoder.test_pairs import AT, FORCES_N, aware, pressed, states
 
 NOISE_PX = 0.02
+STEPS = np.linspace(-1.0, 1.0, 41)
+IN_DISC = np.stack(np.meshgrid(STEPS, STEPS), axis=-1).reshape(-1, 2)
+IN_DISC = IN_DISC[np.linalg.norm(IN_DISC, axis=1) <= 1.0]
+"""Points of a unit disc."""
 
 
 def test_centroid_of_a_disc_that_an_edge_cuts_off() -> None:
@@ -37,59 +41,90 @@ def test_centroid_of_a_disc_that_an_edge_cuts_off() -> None:
 
 
 def fallen(x_mm: float, radius_mm: float) -> float:
-    """Share of the motion that a rim at x = 0 leaves of a disc's, as it cuts the disc off."""
-    depth = float(cut_disc_centroid(np.array(max(x_mm, 0.0)), radius_mm))
-    return min(depth / 15.0, 1.0) ** 1.4
+    """Share of the motion that is left of a disc's: pressure at a distance d from a rim, d^1.4."""
+    depth = x_mm + radius_mm * IN_DISC[:, 0]
+    return float(np.mean(np.minimum(depth[depth > 0.0] / 15.0, 1.0) ** 1.4))
 
 
 @cache
-def clamped() -> ContactLocator:
-    """The flat sensor, linear, clamped at x = 0."""
+def clamped(*, far_side: bool = False) -> ContactLocator:
+    """The flat sensor, linear, clamped at x = 0, and at y = 0 as well with ``far_side``."""
     plain = flat_locator(noise_px=NOISE_PX, place_mm=3.0)
     places = plain.places
     share = np.array([fallen(x, RADIUS_MM) for x in places.point_mm[:, 0]])
+    if far_side:
+        share = share * [fallen(y, RADIUS_MM) for y in places.point_mm[:, 1]]
     rows = (places.shift_px[:, :1] * share[:, None, None]).astype(np.float32)
     prior = replace(plain.prior, force_N=25.0)
     return replace(plain, places=replace(places, shift_px=rows), prior=prior)
 
 
+def at(x: float, y: float) -> FloatArray:
+    return np.array([x, y, 0.0])
+
+
 def test_shifts_fall_towards_a_clamped_end_by_a_power() -> None:
-    points = np.array([[1.0, 30.0, 0.0], [59.0, 30.0, 0.0]])
-    near, far = clamped().places.end_power(points) - flat_locator().places.end_power(points)
-    assert near == pytest.approx(1.4, abs=0.05)
+    points = np.stack([at(1.0, 30.0), at(59.0, 30.0)])
+    (gap, power), (_, plain) = (
+        one.places.towards_end(points) for one in (clamped(), flat_locator())
+    )
+    np.testing.assert_allclose(gap, [1.0, 1.0], atol=1e-9)
+    near, far = power - plain
+    assert near == pytest.approx(1.4, abs=0.25)
     assert far == pytest.approx(0.0, abs=1e-3)
+
+
+def test_beside_a_corner_the_power_is_that_of_a_side() -> None:
+    places = clamped(far_side=True).places
+    corner, side = places.towards_end(np.stack([at(0.5, 0.5), at(0.5, 30.0)]))[1]
+    assert corner <= 1.35 * side
 
 
 def found(seed: int) -> tuple[float, LocatedContact]:
     """Force of a disc of any size beside the clamped end, and what is found of it."""
     rng = np.random.default_rng(seed)
-    at = np.array([rng.uniform(0.0, 2.5), rng.uniform(15.0, 45.0), 0.0])
+    place = at(rng.uniform(0.0, 2.5), rng.uniform(15.0, 45.0))
     force, radius = rng.uniform(4.0, 25.0), RADIUS_MM * rng.uniform(0.4, 1.3)
-    motion = force * fallen(at[0], radius) * per_newton(at)
+    motion = force * fallen(place[0], radius) * per_newton(place)
     motion = motion + rng.normal(0.0, NOISE_PX, 2 * len(MARKERS))
-    one = clamped().find(motion.reshape(-1, 2), np.array([nearest(at)]))
+    one = clamped().find(motion.reshape(-1, 2), np.array([nearest(place)]))
     return force, one.contacts[0]
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_forces_of_discs_that_a_rim_cuts_off(known: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Small discs beside a rim read as weak ones: intervals hold them if that is known."""
+    """Small discs beside a rim read as weak ones: intervals hold them, and are no wider."""
     if not known:
-        monkeypatch.setattr(search, "SETTINGS", replace(search.SETTINGS, rim_power=0.0))
-    pairs = [found(seed) for seed in range(60)]
-    inside = np.mean([abs(one.force_N - force) <= 1.645 * one.sd_N for force, one in pairs])
-    assert (inside >= 0.85) == known
+        monkeypatch.setattr(search, "SETTINGS", replace(search.SETTINGS, rim_power_factor=0.0))
+    pairs = [found(seed) for seed in range(80)]
+    off = np.array([abs(one.force_N - force) for force, one in pairs])
+    sd = np.array([one.sd_N for _, one in pairs])
+    assert (np.mean(off <= 1.645 * sd) >= 0.85) == known
+    assert np.median(sd) < 3.0 * np.median(off)
 
 
 def test_far_from_the_end_a_disc_is_whole() -> None:
     sd_mm = np.full((2, 2), 0.5)
-    points = np.array([[1.0, 30.0, 0.0], [20.0, 30.0, 0.0]])
-    near, far = clamped()._share_by_rim(points, sd_mm)
+    points = np.stack([at(1.0, 30.0), at(20.0, 30.0)])
+    near, far = clamped()._error_by_rim(points, sd_mm)
     assert near > 0.3
     assert far == 0.0
     # A place that is poorly known may be nearer.
-    unsure, _ = clamped()._share_by_rim(points, sd_mm + np.array([[0.5, 0.0], [0.0, 0.0]]))
+    unsure, _ = clamped()._error_by_rim(points, sd_mm + np.array([[0.5, 0.0], [0.0, 0.0]]))
     assert unsure > near
+
+
+@pytest.mark.parametrize("x_mm", [0.5, 1.5, 3.0])
+def test_a_contact_beside_a_rim_is_found_without_a_switch(x_mm: float) -> None:
+    """Its force is hardly known, and yet it is there."""
+    hidden, other = at(x_mm, 30.0), at(45.0, 30.0)
+    motion = 12.0 * fallen(x_mm, RADIUS_MM) * per_newton(hidden) + 8.0 * per_newton(other)
+    stiff = replace(clamped(), threshold_N=np.full(len(MARKERS), 50.0))
+    contacts = stiff.find(motion.reshape(-1, 2), np.array([nearest(other)])).contacts
+    assert len(contacts) == 2
+    one = min(contacts, key=lambda contact: float(contact.point_mm[0]))
+    assert len(one.markers) == 0
+    assert abs(one.force_N - 12.0) < 1.645 * one.sd_N
 
 
 def changed(locator: ContactLocator, count: int = 2) -> FloatArray:
@@ -113,11 +148,11 @@ def test_how_far_contacts_change_each_other() -> None:
 
 
 def test_forces_that_others_change_are_less_sure(monkeypatch: pytest.MonkeyPatch) -> None:
-    koi = np.array(sorted(nearest(at) for at in AT))
+    koi = np.array(sorted(nearest(place) for place in AT))
     motion, locator = pressed(AT, FORCES_N).reshape(-1, 2), aware(flat_locator())
     sd_N = []
     for share in (0.0, 0.4):
-        settings = replace(search.SETTINGS, interaction_share=share, rim_power=0.0)
+        settings = replace(search.SETTINGS, interaction_error=share, rim_power_factor=0.0)
         monkeypatch.setattr(search, "SETTINGS", settings)
         contacts = locator.find(motion, koi).contacts
         sd_N.append(np.array([one.raw_sd_N for one in contacts]))

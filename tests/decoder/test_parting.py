@@ -135,6 +135,10 @@ def test_of_too_many_groups_of_switches_the_strongest_are_read(
     found = find(together(at, [9.0, 14.0]), single.tolist())
     assert len(single) == 25
     assert len(found) == 6
+    # No contact has a switch that is far away.
+    for one in found:
+        gap = np.linalg.norm(MARKERS[one.markers] - one.point_mm, axis=1)
+        assert gap.max() < 2.0 * PITCH_MM
     for point, force in zip(at, (9.0, 14.0), strict=True):
         near = min(found, key=lambda one: float(np.linalg.norm(one.point_mm - point)))
         assert near.force_N == pytest.approx(force, rel=0.05)

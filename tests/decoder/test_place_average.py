@@ -85,7 +85,7 @@ def test_the_average_is_that_of_a_fine_grid(monkeypatch: pytest.MonkeyPatch) -> 
     )
     known = replace(place_average.SETTINGS, usual_freedom=1e6)
     monkeypatch.setattr(place_average, "SETTINGS", known)
-    monkeypatch.setattr(search, "SETTINGS", replace(search.SETTINGS, rim_power=0.0))
+    monkeypatch.setattr(search, "SETTINGS", replace(search.SETTINGS, rim_power_factor=0.0))
     locator = with_rim()
     sure = replace(locator.prior, moments_sd_mm2=(1e-3, 1e-3, 1e-3), shear_sd=1e-3)
     locator = replace(locator, prior=sure, noise=replace(locator.noise, share=0.0))

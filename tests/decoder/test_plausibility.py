@@ -193,3 +193,6 @@ def test_a_closed_surface_has_no_end() -> None:
     around = np.column_stack([-np.sin(golden), np.cos(golden), np.zeros(200)])
     ball = table_of(15.0 * normal, np.cross(around, normal), around)
     assert np.isinf(ball.end_distance_mm(normal[:3])).all()
+    assert (ball.towards_end(normal[:3])[1] == 0.0).all()
+    without_end = replace(flat_locator(), places=ball)
+    assert (without_end._error_by_rim(normal[:3], np.ones((3, 2))) == 0.0).all()

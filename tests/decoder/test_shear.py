@@ -163,6 +163,21 @@ def test_the_average_over_both_cases_is_that_of_bayes(monkeypatch: pytest.Monkey
         np.testing.assert_allclose(got[1], spread, atol=1e-8)
 
 
+def test_it_is_as_unsure_as_the_force_that_it_is_a_share_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By errors of the force that the tables do not describe."""
+    seen = pressed(ONE, 10.0, np.array([0.35, -0.25])).reshape(-1, 2)
+    variance_N2 = []
+    for error in (0.0, 0.5):
+        errors = np.array([error])
+        monkeypatch.setattr(ContactLocator, "_errors_of_tables", lambda *_, e=errors: e)
+        (one,) = sheared_locator().find(seen, np.array([nearest(ONE)])).contacts
+        variance_N2.append(np.diag(one.shear_covariance_N2))
+    more = np.sqrt(variance_N2[1] - variance_N2[0])[:2]
+    assert more == pytest.approx(0.5 * np.array([3.5, 2.5]), rel=0.05)
+
+
 def test_larger_errors_than_the_fit_s_are_a_larger_covariance(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

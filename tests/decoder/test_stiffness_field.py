@@ -29,7 +29,7 @@ N = len(MARKERS)
 @pytest.fixture(autouse=True)
 def _no_rim(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing cuts off the discs of this sensor: its shifts are those of whole ones."""
-    settings = replace(locator.SETTINGS, rim_power=0.0)
+    settings = replace(locator.SETTINGS, rim_power_factor=0.0)
     monkeypatch.setattr(locator, "SETTINGS", settings)
 
 

@@ -121,7 +121,7 @@ def test_an_unknown_shape_widens_the_interval_of_a_large_contact() -> None:
         found = find(flat_locator(), AT, moments)
         # Of a strip, its longer moment.
         excess.append(max(float(found.moments_mm2[0] / DISC[0]), 0.0))
-        shape = SETTINGS.extent_share * excess[-1] * found.raw_N
+        shape = SETTINGS.extent_error * excess[-1] * found.raw_N
         assert shape <= found.raw_sd_N < shape + 0.08
     assert excess == pytest.approx([0.0, 2.0, 2.0], abs=0.4)
 

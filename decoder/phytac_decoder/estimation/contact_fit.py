@@ -229,7 +229,7 @@ class ContactFit:
     states : list of ContactState
         The contacts.
     each_px : list of (2n,) float
-        Shifts by each.
+        Shifts of each, its part of their interactions included.
     pressed_px, predicted_px : (2n,) float
         Their sum, without and with motion of the cameras.
     inverse : (2n,) float

@@ -99,12 +99,14 @@ def changed_by_others(
 ) -> FloatArray:
     """Return how far contacts change each other's shifts: (c,), over those of each alone.
 
+    0 without a table of interactions, of whose higher orders this is a measure.
+
     Parameters
     ----------
     each_px : sequence of (2n,) float
         Their shifts together, by :func:`predicted_shifts`.
     """
-    if len(states) < 2:
+    if len(states) < 2 or places.pairs is None:
         return np.zeros(len(states))
     alone = [single_contact_shifts(state, places.orders, top_N=places.top_N)[0] for state in states]
     change = np.linalg.norm(np.subtract(each_px, alone), axis=1)

@@ -53,8 +53,8 @@ class LocatorSettings:
     separate_max: int = 20
     """Most contacts with switches: twice the fingers of two hands. More groups of switches are an
     error of the picture (in another light than the rest frame's, half of all switches may seem on),
-    and 50 contacts take ten seconds: the strongest are fitted, and switches without one are
-    reported. Groups are not divided into more, either."""
+    and 50 contacts take ten seconds: switches of the strongest groups are read. Groups are not
+    divided into more, either."""
     unswitched_max: int = 4
     """Largest number of contacts without a switch."""
     chi2_drop: float = 40.0
@@ -106,17 +106,17 @@ class LocatorSettings:
     """Warm-started frames between searches for unswitched contacts."""
     reinitialise_after_frames: tuple[int, int] = (480, 16)
     """Frames after which contacts are searched for again, without and with an unswitched one."""
-    extent_share: float = 0.012
+    extent_error: float = 0.012
     """Error of the force of a contact that is wider than the tables' disc, for each time that its
     largest second moment exceeds that of the disc: its pressure has a shape, which the moments do
     not describe. Discs of 1.75 and twice the radius are read 0.5 to 1.5 % and 2 to 5 % off, strips
     of 16 to 28 mm 2 to 3 %."""
-    interaction_share: float = 0.4
+    interaction_error: float = 0.4
     """Error of a force, over the share of the shifts that other contacts change: by nine pads of
     6 to 25 N on ``cylinder60``. Tables hold interactions to second order."""
-    rim_power: float = 1.25
-    """Power with which shifts fall towards a clamped rim, over that between tabulated discs: these
-    have 1.2 on ``cylinder60``, smaller and nearer discs 1.3 to 1.5."""
+    rim_power_factor: float = 1.35
+    """Power with which shifts fall towards a clamped rim for smaller and nearer discs, over that
+    between tabulated ones: at most 1.5 over 1.12 on ``cylinder60``."""
     rim_radii: tuple[float, float] = (0.4, 1.3)
     """Radii of discs that press beside a rim, over that of the tables' disc."""
     moment_min: float = 0.2
@@ -278,6 +278,7 @@ class ContactLocator:
             koi=koi,
             camera_motion=camera_motion or self.camera_motion,
         )
+        seen = self._with_likely_switches(seen)
         last = before.state if before else None
         if last:
             seen = replace(seen, noise_scale=last.noise_scale)
@@ -287,6 +288,16 @@ class ContactLocator:
         refused = too_far(state.fit.motion)
         report = self._report(state, seen, refused=refused)
         return replace(report, state=state, noise_scale=state.noise_scale)
+
+    def _with_likely_switches(self, seen: ShiftObservation) -> ShiftObservation:
+        """Return what is seen, with the switches of the strongest groups if these are too many."""
+        groups = group_key_nodes(seen.koi, self.neighbours)
+        if len(groups) <= SETTINGS.separate_max:
+            return seen
+        force = self._switch_forces(seen).force_N
+        groups.sort(key=lambda rows: -float(force[rows].sum()))
+        rows = np.sort(np.concatenate(groups[: SETTINGS.separate_max]))
+        return replace(seen, koi=seen.koi[rows])
 
     def _search(self, seen: ShiftObservation) -> FitState:
         """Search for the contacts of one frame alone."""
@@ -361,8 +372,6 @@ class ContactLocator:
         """Fit the contacts whose switches are on."""
         force = self._switch_forces(seen)
         groups = [np.array(group) for group in group_key_nodes(seen.koi, self.neighbours)]
-        groups.sort(key=lambda rows: -float(force.force_N[rows].sum()))
-        groups = sorted(groups[: SETTINGS.separate_max], key=lambda rows: int(rows[0]))
         starts = [self._start(seen.koi, force, rows) for rows in groups]
         best, starts = self._joined(self._fit(starts, seen), starts, force, seen)
         groups = [np.flatnonzero(np.isin(seen.koi, start.markers)) for start in starts]
@@ -711,35 +720,36 @@ class ContactLocator:
         if not accepted:
             return replace(out, hidden_N=hidden_N)
         states, covariances = self._averaged(found, accepted, seen)
-        sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
         points = np.stack([centre_of(self.places, state) for state in states])
         raw = np.array([state.x[0] for state in states])
-        changed = changed_by_others(self.places, best.states, best.each_px)
-        share = [
-            self._share_by_extent(states),
-            self._share_by_rim(points, sd[:, 1:3]),
-            SETTINGS.interaction_share * changed[accepted],
-        ]
-        sd[:, 0] = np.hypot(sd[:, 0], raw * np.linalg.norm(share, axis=0))
+        sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+        fitted_N = sd[:, 0].copy()
+        changed = changed_by_others(self.places, best.states, best.each_px)[accepted]
+        errors = self._errors_of_tables(states, points, sd[:, 1:3])
+        errors = np.hypot(errors, SETTINGS.interaction_error * changed)
+        sd[:, 0] = np.hypot(fitted_N, raw * errors)
         radius = self._radii(states)
         gap, covered = self._covered(points, radius, koi)
         # A switch that no disc reaches belongs to the contact that it started.
         started = np.array([np.isin(koi, state.markers) for state in states])
         owner = np.argmax(raw[:, None] * covered + 1e-6 * started - 1e-9 * gap, axis=0)
         signal = np.array([contact_signal_px(state) for state in states])
+        # Errors of the tables do not say whether there is a contact at all.
+        spread_N = [sd[:, 0], fitted_N]
         if self.correction is None:
-            force, spread_N, stiffness_sd = raw, sd[:, 0], SETTINGS.stiffness_sd
+            force, stiffness_sd = raw, SETTINGS.stiffness_sd
         else:
             force = raw * self.correction.factor(points, raw, signal)
-            spread_N = self.correction.spread_N(force, sd[:, 0])
+            spread_N = [self.correction.spread_N(force, each) for each in spread_N]
             stiffness_sd = self.stiffness_change
-        stated_N = np.hypot(sd_with_factor(force, spread_N, stiffness_sd), self._linear_sd_N(raw))
+        stated_N = sd_with_factor(force, spread_N[0], stiffness_sd)
+        stated_N = np.hypot(stated_N, self._linear_sd_N(raw))
         stated_N = np.hypot(stated_N, force / raw * _change_without_tentative_N(best, accepted))
-        spread_N = np.hypot(spread_N, stiffness_sd * force)
+        there_sd_N = np.hypot(spread_N[1], stiffness_sd * force)
         for k, state in enumerate(states):
             on, share = koi[owner == k], covered[k, owner == k]
             least = SETTINGS.unreadable_sd_min if len(on) else SETTINGS.force_sd_min
-            sure = force[k] >= least * spread_N[k]
+            sure = force[k] >= least * there_sd_N[k]
             if np.isin(on, self.blind).all() and not sure:
                 if self._some_readable and len(self._unreadable_on(state)):
                     hidden_N = max(hidden_N, float(force[k]))
@@ -760,7 +770,7 @@ class ContactLocator:
                     sd_mm=sd[k, 1:3],
                     moments_mm2=state.x[3:SHEAR_START].copy(),
                     signal_px=float(signal[k]),
-                    **self._shear(state, covariances[k], force[k] / raw[k]),
+                    **self._shear(state, covariances[k], errors[k], force[k] / raw[k]),
                 )
             )
         out.contacts.sort(key=lambda contact: len(contact.markers) == 0)
@@ -779,23 +789,27 @@ class ContactLocator:
         beyond_N = force_N * share / np.maximum(1.0 - share, 1e-9)
         return np.minimum(beyond_N, np.maximum(largest_N - force_N, force_N * share)) / 1.645
 
-    def _share_by_extent(self, states: Sequence[ContactState]) -> FloatArray:
-        """Return the error (c,) of contacts that are too large for second moments alone."""
+    def _errors_of_tables(
+        self, states: Sequence[ContactState], points_mm: FloatArray, sd_mm: FloatArray
+    ) -> FloatArray:
+        """Return relative errors (c,) of forces by extents that the tables do not describe."""
         xx, xy, yy = np.array([state.x[3:SHEAR_START] for state in states]).T
         longest = (xx + yy) / 2.0 + np.hypot((xx - yy) / 2.0, xy)
         excess = np.maximum(longest, 0.0) / (self.places.radius_mm**2 / 4.0)
-        return np.asarray(SETTINGS.extent_share * excess)
+        by_rim = self._error_by_rim(points_mm, sd_mm)
+        return np.asarray(np.hypot(SETTINGS.extent_error * excess, by_rim))
 
-    def _share_by_rim(self, points_mm: FloatArray, sd_mm: FloatArray) -> FloatArray:
-        """Return the error (c,) of contacts whose disc the end of the surface may cut off.
+    def _error_by_rim(self, points_mm: FloatArray, sd_mm: FloatArray) -> FloatArray:
+        """Return relative errors (c,) of forces of contacts whose disc a rim may cut off.
 
         How strongly these move the markers depends on their radius, which the markers hardly show.
+        Places have standard deviations (c, 2).
         """
         radius_mm = self.places.radius_mm * np.linspace(*SETTINGS.rim_radii, 8)
-        gap = self.places.end_distance_mm(points_mm) - sd_mm.max(axis=1)
-        depth = cut_disc_centroid(np.maximum(gap, 0.0)[:, None], radius_mm)
-        power = SETTINGS.rim_power * self.places.end_power(points_mm)
-        return np.asarray(np.expm1(power * np.log(depth).std(axis=1)))
+        gap, power = self.places.towards_end(points_mm)
+        gap = np.clip(gap - sd_mm.max(axis=1), 0.0, radius_mm.max())
+        scatter = np.log(cut_disc_centroid(gap[:, None], radius_mm)).std(axis=1)
+        return np.asarray(np.expm1(SETTINGS.rim_power_factor * power * scatter))
 
     def _averaged(
         self, found: FitState, accepted: Sequence[int], seen: ShiftObservation
@@ -825,13 +839,17 @@ class ContactLocator:
             covariances.append(covariance)
         return states, np.stack(covariances)
 
-    def _shear(self, state: ContactState, covariance: FloatArray, factor: float) -> dict[str, Any]:
+    def _shear(
+        self, state: ContactState, covariance: FloatArray, error: float, factor: float
+    ) -> dict[str, Any]:
         """Return the force along the surface of a contact, as fields of ``LocatedContact``.
 
         Parameters
         ----------
         covariance : (8, 8) float
             Covariance of its unknowns.
+        error : float
+            Relative error of the force by what the tables do not describe.
         factor : float
             Corrected over raw force.
         """
@@ -841,9 +859,11 @@ class ContactLocator:
         axes = self.places.axes[state.place]
         variance = axes.T @ (slope.T @ covariance @ slope) @ axes
         known = max(float(np.linalg.eigvalsh(covariance[SHEAR_START:, SHEAR_START:])[0]), 0.0)
+        shear_N = factor * force * (ratio @ axes)
+        variance = (SHEAR_SPREAD * factor) ** 2 * variance
         return {
-            "shear_N": factor * force * (ratio @ axes),
-            "shear_covariance_N2": (SHEAR_SPREAD * factor) ** 2 * variance,
+            "shear_N": shear_N,
+            "shear_covariance_N2": variance + error**2 * np.outer(shear_N, shear_N),
             "shear_share": SHEAR_SPREAD * np.sqrt(known) / self.prior.shear_sd,
         }
 

@@ -38,6 +38,9 @@ FIT_PLACES = 20
 END_GAP_rad, END_PLACES = 2.6, 3
 """Angle without a neighbour from which a place is at the end of the surface (150°, and 180° at a
 straight end); number of such places that the distance of a point to the end is measured from."""
+END_POWER_MAX, END_MARKERS = 2.0, 6
+"""Largest power with which shifts fall towards an end: a plate's deflection is as the square.
+Number of markers that it is taken from: those that move most."""
 SOFTENING_GROWTH_MAX = 1.5
 """Largest growth of the shifts beyond linear ones, over f², from half the largest force to all of
 it: half of the stiffness is then gone."""
@@ -175,41 +178,42 @@ class ResponseTable:
 
     def end_distance_mm(self, points_mm: FloatArray) -> FloatArray:
         """Return how far points (m, 3) are from the end of the surface, (m,); inf without one."""
-        if not len(self.ends[0]):
-            return np.full(len(points_mm), np.inf)
-        return np.asarray(self._near_ends(points_mm)[1].min(axis=1))
+        return self.towards_end(points_mm)[0]
 
-    def _near_ends(self, points_mm: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the end places nearest to points (m, 3), and the distances inward, (m, q) each.
+    def towards_end(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the distance mm of points (m, 3) from the end of the surface, (m,), and a power.
 
-        The nearest few: at a corner two ends are near.
+        Towards a clamped end shifts per newton fall as a power of the distance between the end and
+        the centroid of the pressure: see :attr:`_end_powers`. Without an end the distance is inf
+        and the power 0.
         """
         ends, inward = self.ends
+        if not len(ends):
+            return np.full(len(points_mm), np.inf), np.zeros(len(points_mm))
         arm = points_mm[:, None] - ends
+        # The nearest few: at a corner two ends are near.
         order = np.argsort(np.linalg.norm(arm, axis=2), axis=1)[:, :END_PLACES]
-        across = np.einsum("mri,ri->mr", arm, inward)
-        return order, np.take_along_axis(across, order, axis=1)
-
-    def end_power(self, points_mm: FloatArray) -> FloatArray:
-        """Return how the shifts per newton fall towards the end nearest to points (m, 3), (m,).
-
-        It is the power of the distance between the centroid of the pressure and the end, from discs
-        on the end to those one radius farther in: about 1 at a clamped end.
-        """
-        if not len(self.ends[0]):
-            return np.zeros(len(points_mm))
-        return self._end_powers[self._near_ends(points_mm)[0][:, 0]]
+        across = np.take_along_axis(np.einsum("mri,ri->mr", arm, inward), order, axis=1)
+        least = across.argmin(axis=1)
+        row = np.arange(len(order))
+        return across[row, least], self._end_powers[order[row, least]]
 
     @cached_property
     def _end_powers(self) -> FloatArray:
-        """Those of all end places, (r,)."""
+        """Powers (r,) between the tables' discs on each end place and one radius farther in.
+
+        By the markers that move most: on one side of an end there are none.
+        """
         ends, inward = self.ends
         near, far = self.nearest(ends), self.nearest(ends + self.radius_mm * inward)
-        size = np.maximum(np.linalg.norm(self.shift_px[:, 0], axis=1), 1e-12)
-        depth = cut_disc_centroid(self.end_distance_mm(self.point_mm[far]), self.radius_mm)
-        deeper = np.log(depth / cut_disc_centroid(np.zeros(len(ends)), self.radius_mm))
-        lower = np.maximum(np.log(size[far] / size[near]), 0.0)
-        return np.asarray(lower / np.maximum(deeper, 1e-3))
+        image = self.shift_px[:, 0].reshape(len(self.shift_px), -1, 2)
+        size = np.sort(np.linalg.norm(image[[near, far]], axis=3), axis=2)[:, :, -END_MARKERS:]
+        size = np.maximum(np.linalg.norm(size, axis=2), 1e-12)
+        gap = np.einsum("ri,ri->r", self.point_mm[far] - ends, inward)
+        depth = cut_disc_centroid(np.stack([0.0 * gap, np.maximum(gap, 0.0)]), self.radius_mm)
+        steps = np.diff(np.log([size, depth]), axis=1)[:, 0]
+        power = steps[0] / np.maximum(steps[1], 0.1)
+        return np.asarray(np.clip(power, 0.0, END_POWER_MAX))
 
     def tangent_coordinates(
         self, places: int | Sequence[int] | IntArray, points_mm: FloatArray

@@ -121,9 +121,11 @@ def effort(candidate: Candidate) -> Measures:
     }
 
 
-def sampled_fractions(sensor: Sensor) -> FloatArray:
-    """Share of each marker's paint that each camera sees at rest, (cameras, n), by few rays."""
-    coarse = 8.0  # with polygons 0.8 px off their circles few rays err as much as without
+def sampled_fractions(sensor: Sensor, *, coarse: float = 2.5) -> FloatArray:
+    """Share of each marker's paint that each camera sees at rest, (cameras, n), by few rays.
+
+    Polygons are 0.1 px times ``coarse`` off their circles.
+    """
     fractions = []
     for camera in sensor.cameras:
         scene = build_scene(sensor, tolerance_mm=coarse * tolerance_mm(camera, sensor.markers))
@@ -133,9 +135,11 @@ def sampled_fractions(sensor: Sensor) -> FloatArray:
 
 def sampled(candidate: Candidate) -> Measures:
     """Sampled visibility at rest, density, and resolution by the closed form."""
-    few = 4000  # cells of the density map: within 2.5 % of many
+    # On 76 designs fractions were 0.0046 RMS off those by all rays and fine polygons, and 0.0032
+    # with a third of this tolerance; the least density was within 2.5 % of that by 20,000 cells.
+    coarse, cells = 8.0, 4000
     surface, markers = candidate.sensor.surface, candidate.sensor.markers
-    fractions = sampled_fractions(candidate.sensor)
+    fractions = sampled_fractions(candidate.sensor, coarse=coarse)
     fraction = fractions.max(axis=0)
     predicted = predict(candidate.sensor, candidate.sensor.cameras, fraction >= FRACTION_MIN)
     bound = predicted.bound
@@ -143,7 +147,7 @@ def sampled(candidate: Candidate) -> Measures:
         "sampled_visible_least": float(fraction.min()),
         "sampled_hidden": int((fraction < FRACTION_MIN).sum()),
         "sampled_gap_px": outlined_gap_px(candidate.sensor, fractions.argmax(axis=0)),
-        "density_least_per_cm2": density_of(surface, markers, cells=few).local_min_per_cm2,
+        "density_least_per_cm2": density_of(surface, markers, cells=cells).local_min_per_cm2,
         "surrogate_force_sd_N": float(np.median(bound.force_N)),
         "surrogate_force_sd_worst_N": float(bound.force_N.max()),
         "surrogate_place_sd_mm": float(np.median(np.maximum(bound.along_mm, bound.around_mm))),

@@ -259,8 +259,9 @@ class Deflection:
 
 def inside(x: float, length: float, radius_mm: float) -> float:
     """Centre of the part of a disc that lies between 0 and a length."""
-    gap = float(cut_disc_centroid(np.array(min(x, length - x)), max(radius_mm, 1e-6)))
-    return gap if x <= length / 2.0 else length - gap
+    gap = min(x, length - x)
+    moved = float(cut_disc_centroid(np.array(gap), max(radius_mm, 1e-6))) - gap
+    return float(x + np.sign(length / 2.0 - x) * moved)
 
 
 def deflection_under_disc(
