@@ -7,7 +7,11 @@ import pytest
 from scipy.optimize import brentq
 
 from phytac_decoder.estimation.contact_fit import initial_state
-from phytac_decoder.estimation.contact_shifts import ContactState, predicted_shifts
+from phytac_decoder.estimation.contact_shifts import (
+    ContactState,
+    changed_by_others,
+    predicted_shifts,
+)
 from phytac_decoder.mechanics.membrane_stretching import BergerWall, lost_softness, order_factors
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray
@@ -237,3 +241,11 @@ def test_slopes_of_one_contact_are_those_of_its_shifts(top: float) -> None:
     numeric = (at(13.01) - at(12.99)) / 0.02
     exact = predicted_shifts(places, [state])[0][1][0]
     assert exact == pytest.approx(numeric, rel=1e-3, abs=1e-4 * np.abs(exact).max())
+
+
+def test_what_a_wall_does_to_its_contacts_is_no_interaction_of_tables() -> None:
+    pressed = states(PLACES, [ONE, TWO], [8.0, 12.0])
+    each_px = [shifts for shifts, _ in predicted_shifts(PLACES, pressed)]
+    alone = [predicted_shifts(PLACES, [one])[0][0] for one in pressed]
+    assert np.abs(np.subtract(each_px, alone)).max() > 0.1
+    assert (changed_by_others(PLACES, pressed, each_px) == 0.0).all()
