@@ -159,3 +159,21 @@ def test_forces_that_others_change_are_less_sure(monkeypatch: pytest.MonkeyPatch
     more = np.sqrt(sd_N[1] ** 2 - sd_N[0] ** 2) / [one.raw_N for one in contacts]
     expected = 0.4 * changed(locator)
     assert sorted(more) == pytest.approx(sorted(expected), rel=0.05)
+
+
+@pytest.mark.parametrize(("x_mm", "force_N"), [(3.0, 12.0), (30.0, 12.0), (30.0, 0.6)])
+def test_a_press_that_turns_no_switch_on_is_not_passed_over(x_mm: float, force_N: float) -> None:
+    """The frame has no contact, and says that one may be missing; light touches are no matter."""
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, NOISE_PX, 2 * len(MARKERS))
+    motion = force_N * fallen(x_mm, RADIUS_MM) * per_newton(at(x_mm, 30.0)) + noise
+    idle, none = (
+        clamped().find(shift.reshape(-1, 2), np.zeros(0, dtype=np.int64))
+        for shift in (motion, noise)
+    )
+    assert not idle.contacts
+    assert none.hidden_N == 0.0
+    if force_N < 1.0:
+        assert idle.hidden_N == 0.0
+    else:
+        assert idle.hidden_N == pytest.approx(force_N, rel=0.4)

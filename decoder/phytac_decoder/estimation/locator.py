@@ -41,7 +41,7 @@ from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.friction_prior import SHEAR_SPREAD, average_over_friction
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
 from phytac_decoder.estimation.place_average import INTERVAL_SDS, PlaceAverage
-from phytac_decoder.mechanics.response_table import ResponseTable
+from phytac_decoder.mechanics.response_table import END_POWER_MAX, ResponseTable
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.discs import cut_disc_centroid, disc_overlap_share
 
@@ -81,6 +81,8 @@ class LocatorSettings:
     contact all of whose switches are unreadable: they seem on in another light."""
     hidden_sd_min: float = 2.0
     """The same for a contact on unreadable switches that may be there, and is not reported."""
+    idle_sd_min: float = 3.0
+    """Standard deviations by which a marker has moved where a contact may be without any switch."""
     threshold_excess_max: float = 2.0
     """Largest force on a switch that is off, over its threshold: prints scatter."""
     threshold_spread: float = 0.35
@@ -124,6 +126,8 @@ class LocatorSettings:
 
 
 SETTINGS = LocatorSettings()
+INTERVAL_90_SDS = 1.645
+"""Half the width of a 90 % interval, in standard deviations."""
 
 
 class SwitchForces(NamedTuple):
@@ -631,10 +635,15 @@ class ContactLocator:
         return on, self.threshold_N[self.blind[gap[on].argmin(axis=1)]]
 
     def _hidden_N(self, best: ContactFit, seen: ShiftObservation) -> float:
-        """Return the force that residuals show on unreadable switches, and no contact explains.
+        """Return the force that residuals show, and no contact explains.
 
-        It is that of the place which explains most of them; 0 if none turns a switch on.
+        It is that of the place which explains most of them, of places on unreadable switches; 0 if
+        none turns a switch on. If no switch is on, it is that of any place.
         """
+        if not len(seen.koi) and not best.states:
+            idle_N = self._idle_N(best, seen)
+            if idle_N:
+                return idle_N
         places, threshold_N = self._blind_places
         if not len(places):
             return 0.0
@@ -642,6 +651,20 @@ class ContactLocator:
         gain[force < threshold_N] = 0.0
         most = int(np.argmax(gain))
         return float(force[most]) if gain[most] >= SETTINGS.hidden_sd_min**2 else 0.0
+
+    def _idle_N(self, best: ContactFit, seen: ShiftObservation) -> float:
+        """Return the force of a contact that moves markers and turns on no switch; 0 for none.
+
+        Between receptors beside a rim these may be many newtons.
+        """
+        residual = best.inverse * (seen.shift_px - best.predicted_px) ** 2
+        if residual.max(initial=0.0) < SETTINGS.idle_sd_min**2:
+            return 0.0
+        drop = SETTINGS.chi2_drop * max(best.reduced_chi2, 1.0)
+        force, gain = self._by_residual(best, seen, slice(None))
+        gain[force < SETTINGS.threshold_excess_max * self.threshold_N.min()] = 0.0
+        most = int(np.argmax(gain))
+        return float(force[most]) if gain[most] >= drop else 0.0
 
     def _could_be_off(self, found: ContactFit, koi: IntArray) -> bool:
         """Return whether the last contact agrees with every switch that reads off."""
@@ -787,7 +810,9 @@ class ContactLocator:
         share = self.linear_error * force_N / largest_N
         # The true force F reads F / (1 + e F / F_max); there is no such F where share >= 1.
         beyond_N = force_N * share / np.maximum(1.0 - share, 1e-9)
-        return np.minimum(beyond_N, np.maximum(largest_N - force_N, force_N * share)) / 1.645
+        return (
+            np.minimum(beyond_N, np.maximum(largest_N - force_N, force_N * share)) / INTERVAL_90_SDS
+        )
 
     def _errors_of_tables(
         self, states: Sequence[ContactState], points_mm: FloatArray, sd_mm: FloatArray
@@ -803,13 +828,15 @@ class ContactLocator:
         """Return relative errors (c,) of forces of contacts whose disc a rim may cut off.
 
         How strongly these move the markers depends on their radius, which the markers hardly show.
+        It is the logarithm of a force that scatters so: a 90 % interval reaches the upper end.
         Places have standard deviations (c, 2).
         """
         radius_mm = self.places.radius_mm * np.linspace(*SETTINGS.rim_radii, 8)
         gap, power = self.places.towards_end(points_mm)
         gap = np.clip(gap - sd_mm.max(axis=1), 0.0, radius_mm.max())
         scatter = np.log(cut_disc_centroid(gap[:, None], radius_mm)).std(axis=1)
-        return np.asarray(np.expm1(SETTINGS.rim_power_factor * power * scatter))
+        scatter *= np.minimum(SETTINGS.rim_power_factor * power, END_POWER_MAX)
+        return np.asarray(np.expm1(INTERVAL_90_SDS * scatter) / INTERVAL_90_SDS)
 
     def _averaged(
         self, found: FitState, accepted: Sequence[int], seen: ShiftObservation

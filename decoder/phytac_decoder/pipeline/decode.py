@@ -275,8 +275,8 @@ def _contact_warnings(bundle: Bundle, found: ContactDetection | None) -> list[st
     out = noisy_rims(found, chi2_allowed=locator.noise.chi2_allowed)
     if found.hidden_N:
         out.append(
-            f"a contact of {found.hidden_N:.1f} N may be missing where switches cannot be read: "
-            "the markers do not show it clearly; check light and focus"
+            f"a contact of {found.hidden_N:.1f} N may be missing: markers moved as under it, and "
+            "no switch that can be read is on there; check light and focus"
         )
     return out + over_rims(found, locator.places)
 
