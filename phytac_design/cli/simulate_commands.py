@@ -20,6 +20,8 @@ Displacement = Literal["auto", "linear", "large"]
 
 
 Keep = Literal["inputs", "points", "frames"]
+TRAIN_SAMPLES = 30
+"""Samples from which on training is proposed: with a dozen it is refused."""
 
 
 def simulate(
@@ -118,7 +120,7 @@ def simulate(
         typer.echo(f"  and {len(reasons) - 5} other reasons")
     if keep == "frames":
         _say_frames(loaded, done.out)
-    if loaded.has_switches:
+    if loaded.has_switches and done.samples >= TRAIN_SAMPLES:
         next_step(f"phytac train {design} {done.out}")
     else:
         next_step(f"phytac evaluate DECODER {done.out}, with the decoder of a build of this design")

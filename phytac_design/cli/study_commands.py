@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from phytac_design.cli.options import JsonOption, check_out, say
-from phytac_design.cli.output import print_json
+from phytac_design.cli.output import print_json, resumable
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -32,6 +32,10 @@ CandidatesOption = Annotated[
 SecondsOption = Annotated[
     float | None, typer.Option(min=0.0, help="Seconds, in place of the study's budget.seconds.")
 ]
+
+
+REASONS = 3
+"""Reasons for which candidates were dropped that are printed."""
 
 
 def sweep(
@@ -108,7 +112,7 @@ def _run(
         )
     space = make_space(study, folder)
     where = out or Path("studies") / study.name
-    with _pool(workers, scheduler) as pool:
+    with resumable(), _pool(workers, scheduler) as pool:
         done = run_study(study, space, where, kind=kind, pool=pool, storage=storage, progress=say)
     page = write_page(done.folder)
     figures = summary(read_results(done.folder))
@@ -121,6 +125,17 @@ def _run(
         f"{done.results}: {figures['candidates']} candidates ({counts}), {done.new} of them now "
         f"in {done.seconds:.0f} s; {page}"
     )
+    for reason in figures["reasons"][:REASONS]:
+        count = reason["count"]
+        typer.echo(f"  {count} candidate{'' if count == 1 else 's'}, such as: {reason['example']}")
+    others = len(figures["reasons"]) - REASONS
+    if others > 0:
+        typer.echo(f"  and {others} other reason{'' if others == 1 else 's'}")
+    if not figures["front"]:
+        say(
+            "warning: no candidate meets all rules and constraints; change the variables' ranges "
+            "or the constraints that are named above"
+        )
     for row in figures["front"][:10]:
         values = ", ".join(
             f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}"

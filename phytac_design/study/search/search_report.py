@@ -1,6 +1,7 @@
 """Results of a study: front, importance, agreement of levels, and a page of them."""
 
 import json
+import re
 from collections import Counter
 from dataclasses import dataclass
 from importlib import resources
@@ -152,6 +153,19 @@ def speedup(statistics: list[dict[str, Any]]) -> float:
     return float(full / spent) if spent > 0.0 else 1.0
 
 
+def reasons(results: Results) -> list[dict[str, Any]]:
+    """Return why candidates were dropped, most frequent first: count, and an example.
+
+    Reasons that differ in their numbers alone are one.
+    """
+    texts = [text for text in results.columns["reason"] if text]
+    alike = [re.sub(r"-?\d[\d.]*", "#", text) for text in texts]
+    return [
+        {"count": count, "example": texts[alike.index(kind)]}
+        for kind, count in Counter(alike).most_common()
+    ]
+
+
 def summary(results: Results) -> dict[str, Any]:
     """Figures of a study."""
     statistics = level_statistics(results)
@@ -173,6 +187,7 @@ def summary(results: Results) -> dict[str, Any]:
         "study": results.study.name,
         "candidates": len(results.ok),
         "statuses": dict(Counter(columns["status"]).most_common()),
+        "reasons": reasons(results),
         "front": front_rows,
         "importance": shares,
         "agreement": agreement(results),

@@ -26,6 +26,21 @@ from phytac_shapes.errors import DesignError, InputError, OutputError, cause_of
 STUDY, RESULTS, PARTS, OPEN = "study.json", "results.parquet", "parts", "open.jsonl"
 
 
+def _other(old: dict[str, Any], mine: dict[str, Any]) -> str:
+    """Say whose results a folder holds, by its ``study.json`` and the one to be written."""
+    if not isinstance(old.get("study"), dict):
+        return "another study"
+    if old.get("kind") != mine["kind"]:
+        return f"a study of phytac {old.get('kind', 'unknown')}, and this is phytac {mine['kind']}"
+    free = {"name", "description", "budget"}
+    names = [key for key in mine["study"] if key not in free]
+    other = [key for key in names if old["study"].get(key) != mine["study"][key]]
+    if old.get("base") != mine["base"]:
+        other.append("the design that it starts from")
+    what = ", ".join(other) or "the number of candidates"
+    return f"results of another study, which differs in: {what}"
+
+
 @contextmanager
 def _writing(folder: Path) -> Iterator[None]:
     """Turn errors of the file system into :class:`OutputError`."""
@@ -89,9 +104,8 @@ class Store:
             if any(old.get(key) != mine[key] for key in ("kind", "identity", "base")):
                 raise OutputError(
                     "output-foreign",
-                    f"{self.folder} holds another study ({old.get('kind', 'unknown')} "
-                    f"{old.get('study', {}).get('name', '?')!r}); choose another --out, or remove "
-                    "it. Only [budget] may change when a study is resumed",
+                    f"{self.folder} holds {_other(old, mine)}; choose another --out, or remove it. "
+                    "Only name, description and [budget] may change when a study is resumed",
                 )
         partial = path.with_name(f".{STUDY}.part")
         with _writing(self.folder):

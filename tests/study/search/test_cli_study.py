@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from phytac_design.cli.study_commands import optimise, sweep
 from phytac_design.study.search.measures import MEASURES
-from phytac_shapes.errors import DesignError, InputError
+from phytac_shapes.errors import DesignError, InputError, OutputError
 
 APP = typer.Typer()
 APP.command()(sweep)
@@ -92,3 +92,37 @@ def test_a_scheduler_that_is_not_there_is_refused_before_anything_is_written(
     both = CliRunner().invoke(APP, [*words, "--workers", "2"])
     assert isinstance(both.exception, DesignError)
     assert "exclude each other" in str(both.exception)
+
+
+def test_a_sweep_says_why_candidates_were_dropped(study: Path, tmp_path: Path) -> None:
+    study.write_text(STUDY + '[[constraint]]\nmeasure = "mass_g"\nmax = 1.0\n')
+    done = CliRunner().invoke(APP, ["sweep", str(study), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert "4 candidates, such as: mass_g is " in done.stdout
+    assert "no candidate meets all rules and constraints" in done.output
+    facts = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [one["count"] for one in facts["reasons"]] == [4]
+
+
+def test_what_differs_from_the_study_in_the_folder_is_named(study: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert CliRunner().invoke(APP, ["sweep", str(study), "--out", str(out)]).exit_code == 0
+    study.write_text(STUDY.replace("0.7", "0.8").replace('"min"', '"max"'))
+    with pytest.raises(OutputError, match=r"differs in: objective, variable; .*Only name"):
+        CliRunner().invoke(APP, ["sweep", str(study), "--out", str(out)], catch_exceptions=False)
+    study.write_text(STUDY.replace('name = "walls"', 'name = "other"'))
+    assert CliRunner().invoke(APP, ["sweep", str(study), "--out", str(out)]).exit_code == 0
+    with pytest.raises(OutputError, match="a study of phytac sweep, and this is phytac optimise"):
+        CliRunner().invoke(APP, ["optimise", str(study), "--out", str(out)], catch_exceptions=False)
+
+
+def test_ctrl_c_says_that_a_study_can_be_resumed(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("phytac_design.study.search.driver.run_study", stopped)
+    done = CliRunner().invoke(APP, ["sweep", str(study), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 130
+    assert "run the same command again to resume" in done.output
