@@ -125,6 +125,12 @@ def _run(
         f"{done.results}: {figures['candidates']} candidates ({counts}), {done.new} of them now "
         f"in {done.seconds:.0f} s; {page}"
     )
+    have, wanted = sum(figures["statuses"].values()), study.budget.candidates
+    if have < wanted and study.budget.seconds:
+        rest = wanted - have
+        say(f"the time is up, {rest} of {wanted} candidates are left; run it again to resume")
+    elif have > wanted:
+        say(f"this study has {have} candidates already, more than the {wanted} that are wanted")
     for reason in figures["reasons"][:REASONS]:
         count = reason["count"]
         typer.echo(f"  {count} candidate{'' if count == 1 else 's'}, such as: {reason['example']}")

@@ -126,3 +126,16 @@ def test_ctrl_c_says_that_a_study_can_be_resumed(
     done = CliRunner().invoke(APP, ["sweep", str(study), "--out", str(tmp_path / "out")])
     assert done.exit_code == 130
     assert "run the same command again to resume" in done.output
+
+
+def test_candidates_that_are_left_or_too_many_are_named(study: Path, tmp_path: Path) -> None:
+    call = ["sweep", str(study), "--out", str(tmp_path / "out")]
+    CliRunner().invoke(APP, [*call, "--candidates", "2"])
+    part = CliRunner().invoke(APP, [*call, "--seconds", "1e-6"])
+    assert "the time is up, 2 of 4 candidates are left" in part.output
+    whole = CliRunner().invoke(APP, call)
+    assert "4 candidates (4 ok), 2 of them now" in whole.stdout
+    assert "is up" not in whole.output
+    assert "has 4 candidates already, more than the 1" in (
+        CliRunner().invoke(APP, [*call, "--candidates", "1"]).output
+    )
