@@ -12,6 +12,8 @@ from phytac_design.cli.output import print_json, resumable
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
+    from phytac_design.study.search.study_file import Budget
+
 StudyArgument = Annotated[
     str, typer.Argument(help="A shipped study or the path of a study file.", show_default=False)
 ]
@@ -125,22 +127,18 @@ def _run(
         f"{done.results}: {figures['candidates']} candidates ({counts}), {done.new} of them now "
         f"in {done.seconds:.0f} s; {page}"
     )
-    have, wanted = sum(figures["statuses"].values()), study.budget.candidates
-    if have < wanted and study.budget.seconds:
-        rest = wanted - have
-        say(f"the time is up, {rest} of {wanted} candidates are left; run it again to resume")
-    elif have > wanted:
-        say(f"this study has {have} candidates already, more than the {wanted} that are wanted")
+    if study.sampling.sweep == "sobol" or kind == "optimise":
+        _say_budget(sum(figures["statuses"].values()), study.budget)
     for reason in figures["reasons"][:REASONS]:
         count = reason["count"]
-        typer.echo(f"  {count} candidate{'' if count == 1 else 's'}, such as: {reason['example']}")
+        typer.echo(f"  {count} for a reason such as: {reason['example']}")
     others = len(figures["reasons"]) - REASONS
     if others > 0:
         typer.echo(f"  and {others} other reason{'' if others == 1 else 's'}")
-    if not figures["front"]:
+    if not figures["statuses"].get("ok"):
         say(
             "warning: no candidate meets all rules and constraints; change the variables' ranges "
-            "or the constraints that are named above"
+            "or the constraints (summary.json has all reasons)"
         )
     for row in figures["front"][:10]:
         values = ", ".join(
@@ -151,6 +149,15 @@ def _run(
         typer.echo(f"  trial {row['trial']}: {values}")
     if len(figures["front"]) > 10:
         typer.echo(f"  … and {len(figures['front']) - 10} more on the front")
+
+
+def _say_budget(have: int, budget: "Budget") -> None:
+    """Say how many candidates of the budget are left, or are more than it."""
+    rest = budget.candidates - have
+    if rest > 0 and budget.seconds:
+        say(f"the time is up, {rest} of {budget.candidates} candidates are left; run it again")
+    elif rest < 0:
+        say(f"this study has {have} candidates already, more than the {budget.candidates} wanted")
 
 
 def _pool(workers: int, scheduler: str) -> "AbstractContextManager[Any]":

@@ -177,3 +177,48 @@ def test_a_press_that_turns_no_switch_on_is_not_passed_over(x_mm: float, force_N
         assert idle.hidden_N == 0.0
     else:
         assert idle.hidden_N == pytest.approx(force_N, rel=0.4)
+
+
+def press(force_N: float, x_mm: float) -> FloatArray:
+    """Shifts (n, 2) px by a press, with noise."""
+    noise = np.random.default_rng(1).normal(0.0, NOISE_PX, 2 * len(MARKERS))
+    shift = force_N * fallen(x_mm, RADIUS_MM) * per_newton(at(x_mm, 30.0)) + noise
+    return shift.reshape(-1, 2)
+
+
+NONE_ON = np.zeros(0, dtype=np.int64)
+
+
+def test_of_unequal_switches_the_lightest_says_what_a_light_touch_is() -> None:
+    threshold_N = np.full(len(MARKERS), 50.0)
+    heavy = replace(clamped(), threshold_N=threshold_N)
+    assert heavy.find(press(12.0, 30.0), NONE_ON).hidden_N == 0.0
+    threshold_N = threshold_N.copy()
+    threshold_N[0] = 0.5
+    one = replace(clamped(), threshold_N=threshold_N)
+    assert one.find(press(12.0, 30.0), NONE_ON).hidden_N > 8.0
+
+
+def test_a_press_is_named_from_a_drop_of_chi2_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    light = clamped().find(press(2.0, 3.0), NONE_ON)
+    assert light.hidden_N > 0.0
+    settings = replace(search.SETTINGS, chi2_drop=1e4)
+    monkeypatch.setattr(search, "SETTINGS", settings)
+    assert clamped().find(press(2.0, 3.0), NONE_ON).hidden_N == 0.0
+
+
+def test_what_no_contact_explains_is_no_press() -> None:
+    """Markers that move each its own way: the noise of a poor picture, however large."""
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        motion = rng.normal(0.0, 15.0 * NOISE_PX, (len(MARKERS), 2))
+        assert clamped().find(motion, NONE_ON).hidden_N == 0.0
+
+
+@pytest.mark.parametrize("force_N", [4.0, 6.0, 12.0])
+def test_without_switches_a_press_that_is_not_sure_is_named(force_N: float) -> None:
+    """Beside a rim its force is hardly known, so that it is not reported; and yet it is there."""
+    blind = replace(clamped(), blind=np.arange(len(MARKERS)))
+    found = blind.find(press(force_N, 0.3), NONE_ON)
+    assert found.contacts or found.hidden_N > 0.3 * force_N
+    assert blind.find(press(0.0, 0.3), NONE_ON).hidden_N == 0.0

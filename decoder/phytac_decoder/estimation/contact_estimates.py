@@ -107,8 +107,8 @@ class ContactDetection:
         Noise of this frame over the usual one, where that is predicted; the other figures are by
         this noise.
     hidden_N : float
-        Force of a contact on unreadable switches that the markers do not show clearly enough to
-        report it; 0 if there is none.
+        Force of a contact that is not reported and may be there: on unreadable switches, where the
+        markers do not show it clearly enough, or anywhere if no switch is on; 0 if there is none.
     shift_px : (2n,) float
         Predicted shifts: of all contacts, tentative ones included, and by motion of the cameras.
     motion, motion_sd : (q,) float

@@ -774,7 +774,8 @@ class ContactLocator:
             least = SETTINGS.unreadable_sd_min if len(on) else SETTINGS.force_sd_min
             sure = force[k] >= least * there_sd_N[k]
             if np.isin(on, self.blind).all() and not sure:
-                if self._some_readable and len(self._unreadable_on(state)):
+                on_unreadable = self._some_readable and len(self._unreadable_on(state))
+                if on_unreadable or not len(koi):
                     hidden_N = max(hidden_N, float(force[k]))
                 continue
             if len(on) == 0:
@@ -828,8 +829,8 @@ class ContactLocator:
         """Return relative errors (c,) of forces of contacts whose disc a rim may cut off.
 
         How strongly these move the markers depends on their radius, which the markers hardly show.
-        It is the logarithm of a force that scatters so: a 90 % interval reaches the upper end.
-        Places have standard deviations (c, 2).
+        The logarithm of the force scatters; a 90 % interval reaches its upper end, which is farther
+        away than the lower one. Places have standard deviations (c, 2).
         """
         radius_mm = self.places.radius_mm * np.linspace(*SETTINGS.rim_radii, 8)
         gap, power = self.places.towards_end(points_mm)

@@ -276,7 +276,7 @@ def _contact_warnings(bundle: Bundle, found: ContactDetection | None) -> list[st
     if found.hidden_N:
         out.append(
             f"a contact of {found.hidden_N:.1f} N may be missing: markers moved as under it, and "
-            "no switch that can be read is on there; check light and focus"
+            "no switch shows it; it may press between receptors, or a switch may be dead"
         )
     return out + over_rims(found, locator.places)
 

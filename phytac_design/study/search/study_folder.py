@@ -37,7 +37,10 @@ def _other(old: dict[str, Any], mine: dict[str, Any]) -> str:
     other = [key for key in names if old["study"].get(key) != mine["study"][key]]
     if old.get("base") != mine["base"]:
         other.append("the design that it starts from")
-    what = ", ".join(other) or "the number of candidates"
+    if mine["study"]["sampling"]["sweep"] != "sobol":
+        count = [one["study"].get("budget", {}).get("candidates") for one in (old, mine)]
+        other += ["the number of candidates, which its points depend on"] * (count[0] != count[1])
+    what = ", ".join(other) or "what another version of phytac wrote"
     return f"results of another study, which differs in: {what}"
 
 
@@ -105,7 +108,8 @@ class Store:
                 raise OutputError(
                     "output-foreign",
                     f"{self.folder} holds {_other(old, mine)}; choose another --out, or remove it. "
-                    "Only name, description and [budget] may change when a study is resumed",
+                    "Only name, description and, with sampling.sweep = sobol, [budget] may change "
+                    "when a study is resumed",
                 )
         partial = path.with_name(f".{STUDY}.part")
         with _writing(self.folder):

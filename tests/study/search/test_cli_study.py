@@ -98,7 +98,7 @@ def test_a_sweep_says_why_candidates_were_dropped(study: Path, tmp_path: Path) -
     study.write_text(STUDY + '[[constraint]]\nmeasure = "mass_g"\nmax = 1.0\n')
     done = CliRunner().invoke(APP, ["sweep", str(study), "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    assert "4 candidates, such as: mass_g is " in done.stdout
+    assert "4 for a reason such as: mass_g is " in done.stdout
     assert "no candidate meets all rules and constraints" in done.output
     facts = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [one["count"] for one in facts["reasons"]] == [4]
@@ -136,6 +136,27 @@ def test_candidates_that_are_left_or_too_many_are_named(study: Path, tmp_path: P
     whole = CliRunner().invoke(APP, call)
     assert "4 candidates (4 ok), 2 of them now" in whole.stdout
     assert "is up" not in whole.output
-    assert "has 4 candidates already, more than the 1" in (
+    assert "warning" not in whole.output
+    assert "has 4 candidates already, more than the 1 wanted" in (
         CliRunner().invoke(APP, [*call, "--candidates", "1"]).output
     )
+
+
+def test_a_grid_ends_at_its_own_size(study: Path, tmp_path: Path) -> None:
+    grid = STUDY.replace("[sampling]", '[sampling]\nsweep = "grid"')
+    study.write_text(grid.replace("high = 1.2", "high = 1.2\npoints = 3"))
+    call = ["sweep", str(study), "--out", str(tmp_path / "out"), "--seconds", "3600"]
+    done = CliRunner().invoke(APP, [*call, "--candidates", "3"])
+    assert done.exit_code == 0, done.output
+    assert "left" not in done.output
+    with pytest.raises(OutputError, match=r"differs in: the number of candidates, which"):
+        CliRunner().invoke(APP, [*call, "--candidates", "9"], catch_exceptions=False)
+
+
+def test_a_study_without_an_objective_has_no_front_and_no_warning(
+    study: Path, tmp_path: Path
+) -> None:
+    study.write_text(STUDY.replace('[[objective]]\nmeasure = "mass_g"\ngoal = "min"\n', ""))
+    done = CliRunner().invoke(APP, ["sweep", str(study), "--out", str(tmp_path / "out")])
+    assert "4 candidates (4 ok)" in done.stdout
+    assert "warning" not in done.output
