@@ -102,8 +102,9 @@ class MetricLengths:
                 length=self.length,
                 girth=float(own),
                 closed=self.surface.periodic[1],
-                k_u=float(k_u),
-                k_v=float(k_v),
+                # Equal curvatures are equal numbers, so that they are looked up.
+                k_u=round(float(k_u), 12),
+                k_v=round(float(k_v), 12),
             )
             for own, (k_u, k_v) in zip(girth, bent, strict=True)
         ]
@@ -264,10 +265,9 @@ def inside(x: float, length: float, radius_mm: float) -> float:
     return float(x + np.sign(length / 2.0 - x) * moved)
 
 
-def deflection_under_disc(
-    wall: Wall, flat: Flat, x: float, y: float, radius_mm: float, count: int = 36
-) -> Deflection:
-    """Deflection under a disc of a radius at the lengths x and y, 1 N inward."""
+@lru_cache(maxsize=32)
+def _softness(wall: Wall, flat: Flat, radius_mm: float, count: int) -> FloatArray:
+    """Amplitudes (m, k) of waves by a disc's newton where all are 1, mm."""
     along = waves(flat.length, closed=False, count=count)
     around = waves(flat.girth, closed=flat.closed, count=count)
     a, b = along.second[:, None], around.second[None]
@@ -276,11 +276,20 @@ def deflection_under_disc(
     resistance = wall.bending * bend + wall.stretching * curved**2
     reach = np.sqrt(a + b) * max(radius_mm, 1e-6)
     load = np.where(reach > 1e-6, 2.0 * j1(reach) / np.maximum(reach, 1e-12), 1.0)
+    return np.asarray(load / resistance / (flat.length * flat.girth))
+
+
+def deflection_under_disc(
+    wall: Wall, flat: Flat, x: float, y: float, radius_mm: float, count: int = 36
+) -> Deflection:
+    """Deflection under a disc of a radius at the lengths x and y, 1 N inward."""
+    along = waves(flat.length, closed=False, count=count)
+    around = waves(flat.girth, closed=flat.closed, count=count)
     x = inside(x, flat.length, radius_mm)
     y = y if flat.closed else inside(y, flat.girth, radius_mm)
     there = np.outer(along.at(np.array([x]))[0][0], around.at(np.array([y]))[0][0])
-    share = there / (flat.length * flat.girth)
-    return Deflection(amplitude=share * load / resistance, along=along, around=around)
+    softness = _softness(wall, flat, radius_mm, count)
+    return Deflection(amplitude=there * softness, along=along, around=around)
 
 
 def tip_basis(sensor: Sensor) -> FloatArray:
