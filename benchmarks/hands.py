@@ -264,7 +264,10 @@ def _read_set(
     accuracy: Preset,
     solve: dict[str, object],
 ) -> DataSet:
-    """Contacts of one condition: on receptors at random, so that none is one that was learnt."""
+    """Contacts of one condition on a print ``own``, by its seed and unit.
+
+    They are on receptors at random, so that none is one that was learnt.
+    """
     made = replace_modulus(design, case.modulus)
     touch = {"samples": samples, **({} if case.scenario == "grips" else {"placement": "receptor"})}
     job = job_of(

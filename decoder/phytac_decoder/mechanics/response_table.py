@@ -202,7 +202,8 @@ class ResponseTable:
     def _end_powers(self) -> FloatArray:
         """Powers (r,) between the tables' discs on each end place and one radius farther in.
 
-        By the markers that move most: on one side of an end there are none.
+        From the shifts of the few markers that move most: a sum over all would fall towards an end
+        also because there are no markers beyond it.
         """
         ends, inward = self.ends
         near, far = self.nearest(ends), self.nearest(ends + self.radius_mm * inward)
