@@ -107,6 +107,51 @@ def test_processes_are_kept_or_replaced_and_have_one_thread() -> None:
         assert [r.value for r in pool.run(["OPENBLAS_NUM_THREADS"])] == ["1"]
 
 
+def test_workers_have_the_environment_of_their_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server that they are forked from may have started before."""
+    monkeypatch.setenv("PHYTAC_TEST", "old")
+    for expected in ("old", "new", None):
+        if expected is None:
+            monkeypatch.delenv("PHYTAC_TEST")
+        else:
+            monkeypatch.setenv("PHYTAC_TEST", expected)
+        with WorkerPool(environment, workers=1) as pool:
+            assert [r.value for r in pool.run(["PHYTAC_TEST", "PHYTAC_PRELOAD"])] == [
+                expected,
+                None,
+            ]
+
+
+AHEAD = """
+import gc, sys
+from phytac_design.core.workers import WorkerPool, import_ahead
+def work(_, name):
+    return name in sys.modules, gc.isenabled(), gc.get_freeze_count() > 0
+if __name__ == "__main__":
+    import_ahead(sys.argv[1])
+    with WorkerPool(work, workers=1) as pool:
+        print(*(result.value for result in pool.run(["xml.dom.minidom"])))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are spawned")
+@pytest.mark.parametrize(
+    ("module", "expected"),
+    [("xml.dom.minidom", "(True, True, True)"), ("not_a_module", "(False, True, False)")],
+)
+def test_workers_have_imported_what_was_named_ahead(
+    tmp_path: Path, module: str, expected: str
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(AHEAD)
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    done = subprocess.run(
+        [sys.executable, str(script), module], env=env, check=True, capture_output=True, text=True
+    )
+    assert done.stdout.strip() == expected
+    assert done.stderr == ""
+
+
 PRODUCTS = """
 import os, phytac_design.cli.app
 import numpy as np
@@ -136,6 +181,7 @@ from pathlib import Path
 from phytac_design.core.workers import WorkerPool
 folder = Path(sys.argv[1])
 def work(_, task):
+    (folder / str(os.getppid())).touch()  # the server
     (folder / str(os.getpid())).touch()
     time.sleep(60)
 if __name__ == "__main__":
@@ -153,12 +199,12 @@ def test_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
         [sys.executable, str(script), str(folder)], env=env, stderr=subprocess.DEVNULL
     )
     try:
-        _until(lambda: len(list(folder.iterdir())) == 2, 60.0)
+        _until(lambda: len(list(folder.iterdir())) == 3, 60.0)
     finally:
         parent.kill()
         parent.wait()
     pids = [int(path.name) for path in folder.iterdir()]
-    assert len(pids) == 2
+    assert len(set(pids) - {parent.pid}) == (3 if sys.platform == "linux" else 2)
     _until(lambda: not any(_alive(pid) for pid in pids), 10.0)
 
 

@@ -1,5 +1,7 @@
 """The command ``phytac``: short calls into the library, one clear line for every error."""
 
+import atexit
+import gc
 import os
 import sys
 from collections.abc import Callable
@@ -155,6 +157,8 @@ EXTRAS = {
 
 def main() -> None:
     """Run the command line; a user's error is one line on standard error and an exit code."""
+    # At exit Python looks for garbage among all modules, which takes 0.3 s.
+    atexit.register(gc.freeze)
     try:
         app(prog_name="phytac")
     except PhytacError as error:

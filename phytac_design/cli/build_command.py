@@ -81,6 +81,10 @@ def build(
     as_json: JsonOption = False,
 ) -> None:
     """Build everything of a design: shell, views, mesh, decoder, report."""
+    from phytac_design.core.workers import import_ahead
+
+    if workers != 1:
+        import_ahead("phytac_design.stages.build")
     from phytac_design.design.accuracy import settings_of, with_settings
     from phytac_design.design.design_file import load_design
     from phytac_design.design.spec import Design

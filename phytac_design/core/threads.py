@@ -7,6 +7,10 @@ from contextlib import contextmanager
 THREADS = "PHYTAC_THREADS"
 """Environment variable that bounds the threads; processes that run side by side set it to 1."""
 
+PRELOAD = "PHYTAC_PRELOAD"
+"""Environment variable that names the module which worker processes have imported, see
+:mod:`.preloaded`."""
+
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """What the common BLAS libraries read when they are loaded. The last digits of their results depend
 on the number of threads."""

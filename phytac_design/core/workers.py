@@ -1,8 +1,8 @@
 """Tasks over worker processes: results as they come; a crash or a hang costs one task.
 
-Workers are spawned, with one BLAS thread each, and import nothing but this module before their
-start function. Scripts that use a pool must guard their own start with
-``if __name__ == "__main__":``.
+Workers have one BLAS thread each. On Linux they are forked from a server process, which has one
+thread and has imported the module of the first pool's function; elsewhere they are spawned.
+Scripts that use a pool must guard their own start with ``if __name__ == "__main__":``.
 """
 
 import os
@@ -12,14 +12,14 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import connection, get_context, parent_process
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
-from phytac_design.core.threads import THREADS, one_thread_each
+from phytac_design.core.threads import PRELOAD, THREADS, one_thread_each
 
 START_S = 60.0
 """Added to the time limit of a new process's first task, for its imports."""
@@ -42,6 +42,41 @@ class TaskResult:
     index: int
     value: Any = None
     lost: str = ""
+
+
+def import_ahead(module: str) -> None:
+    """Begin to import what workers will need, in the server, while this process does other things.
+
+    Without effect where a server runs already, and on systems other than Linux.
+    """
+    if sys.platform != "linux":
+        return
+    from multiprocessing import forkserver
+
+    forkserver.set_forkserver_preload(["phytac_design.core.preloaded"])
+    # It finds modules where this process does.
+    with _starting({PRELOAD: module, "PYTHONPATH": os.pathsep.join(sys.path)}):
+        forkserver.ensure_running()
+
+
+@contextmanager
+def _starting(variables: Mapping[str, str]) -> Iterator[None]:
+    """Environment in which a server or a worker starts, with some more variables."""
+    # Until it ignores Ctrl-C, see `_serve`: one that comes while it imports would print a
+    # traceback.
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = {name: os.environ.get(name) for name in variables}
+    try:
+        with one_thread_each(THREADS):
+            os.environ.update(variables)
+            yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 
 class WorkerPool:
@@ -200,17 +235,13 @@ class _Process:
         arguments: tuple[Any, ...],
         work: Callable[[Any, Any], Any],
     ) -> None:
-        context = get_context("spawn")
+        import_ahead(work.__module__)
+        context: Any = get_context("forkserver" if sys.platform == "linux" else "spawn")
         self.pipe, other = context.Pipe()
-        self.process = context.Process(target=_serve, args=(other, start, arguments, work))
-        # Until it ignores Ctrl-C, see `_serve`: one that comes while it imports would print a
-        # traceback.
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            with one_thread_each(THREADS):
-                self.process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        with _starting({}):
+            given = (other, dict(os.environ), start, arguments, work)
+            self.process = context.Process(target=_serve, args=given)
+            self.process.start()
         other.close()
         self.task: _Task | None = None
         self.tasks, self.dead = 0, False
@@ -278,6 +309,7 @@ def _ready(busy: list[_Process]) -> list[_Process]:
 
 def _serve(
     pipe: Connection,
+    environment: Mapping[str, str],
     start: Callable[..., Any] | None,
     arguments: tuple[Any, ...],
     work: Callable[[Any, Any], Any],
@@ -285,6 +317,9 @@ def _serve(
     """Do tasks until the pipe closes; end with the parent, however that ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # The parent handles Ctrl-C and ends its workers.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    os.environ.update(environment)  # a server keeps the one in which it started
+    for name in set(os.environ) - set(environment):
+        del os.environ[name]
     _Process.own_pipe = pipe
     threading.Thread(target=_end_with_parent, daemon=True).start()
     state: Any = None

@@ -24,10 +24,21 @@ class GateError(DesignError):
 
 @dataclass(frozen=True, kw_only=True)
 class StageCosts:
-    """Predicted costs of each stage by its name: seconds on one core, peak memory in MB."""
+    """Predicted costs of each stage by its name.
+
+    Attributes
+    ----------
+    seconds : mapping
+        On one core of the machine that costs were measured on.
+    memory_MB : mapping
+        Peaks.
+    machine : callable
+        Measures the seconds of this machine over those of that one.
+    """
 
     seconds: Mapping[str, float]
     memory_MB: Mapping[str, float]
+    machine: Callable[[], float] = lambda: 1.0
 
 
 @dataclass(kw_only=True)
@@ -64,8 +75,6 @@ class StageTask:
 def publish_in_worker(_: None, task: StageTask) -> tuple[Path, bool] | Exception:
     """Folder of a result and whether this process made it, or the error of the stage."""
     task.context = replace(task.context, progress=send_note)
-    if not gc.get_freeze_count():
-        gc.freeze()  # modules are no garbage: looking through them takes 70 ms a stage
     try:
         return task.publish(), task.done
     except Exception as error:  # noqa: BLE001  raised by the process that gave the task
@@ -73,6 +82,7 @@ def publish_in_worker(_: None, task: StageTask) -> tuple[Path, bool] | Exception
         return error
     finally:
         release_memory()  # while this process waits, another stage may need it
+        gc.freeze()  # what a stage has imported is no garbage: looking through it takes 40 ms
 
 
 class _StageFailure(Exception):  # noqa: N818  carries the error of a stage
@@ -314,10 +324,12 @@ class StageRun:
 
     def left_s(self) -> float:
         """Predicted seconds to the end, scaled by those of the stages that have ended."""
+        machine = self._costs.machine() if self._costs else 1.0
         # A fifth of the whole counts as predicted rightly, so that one stage does not decide.
         right = 0.2 * sum(self._seconds(stage.name) for stage in self.stages)
         predicted = sum(self._seconds(name) for name in self.timing_s)
-        scale = (sum(self.timing_s.values()) + right) / (predicted + right) if right else 1.0
+        spent = sum(self.timing_s.values())
+        scale = (spent + machine * right) / (predicted + right) if right else machine
         now, clock = time.monotonic(), 0.0
         ends = {
             # One that takes longer than predicted is not about to end.

@@ -9,7 +9,7 @@ machine that is running.
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from scipy.optimize import nnls
@@ -266,9 +266,11 @@ def predict(unit_costs: UnitCosts, amounts: Mapping[str, Amounts]) -> dict[str, 
 def stage_costs(design: Design, accuracy: Accuracy) -> StageCosts:
     """Predicted costs of each stage of a whole build, on this machine."""
     amounts = features(Workload(design).counts(accuracy), accuracy, design)
-    slow = machine_factor(time.process_time)
-    seconds = {name: slow * cost for name, cost in predict(CPU_s, amounts).items()}
-    return StageCosts(seconds=seconds, memory_MB=predict(MEMORY_MB, amounts))
+    return StageCosts(
+        seconds=predict(CPU_s, amounts),
+        memory_MB=predict(MEMORY_MB, amounts),
+        machine=partial(machine_factor, time.process_time),
+    )
 
 
 def fit(rows: Mapping[str, Sequence[tuple[Amounts, float]]]) -> dict[str, dict[str, float]]:
