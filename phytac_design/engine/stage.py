@@ -206,6 +206,11 @@ def export_path(folder: Path, name: str) -> Path:
     return path
 
 
+def thumbnail_path(folder: Path, name: str) -> Path:
+    """Path of the small picture of an exported one, below a stage's folder."""
+    return folder / "thumbnails" / f"{Path(name).stem}.jpg"
+
+
 def write_text(folder: Path, name: str, text: str) -> None:
     """Write a text that is exported."""
     export_path(folder, name).write_text(text, encoding="utf-8")

@@ -13,7 +13,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.frame_renderer import render_frame
+from phytac_design.optics.frame_renderer import add_noise, render_frame
 from phytac_design.optics.gaps import marker_gaps
 from phytac_design.optics.paint import paints_of, resin_of
 from phytac_design.optics.raster import (
@@ -141,9 +141,15 @@ class Visibility:
 
 
 def check_visibility(
-    sensor: Sensor, *, rng: np.random.Generator, camera: Camera | None = None
+    sensor: Sensor,
+    *,
+    rng: np.random.Generator,
+    camera: Camera | None = None,
+    frame: ImageArray | None = None,
 ) -> Visibility:
     """Visibility of every marker of a design, unloaded, from ``camera`` (the only one if None).
+
+    ``frame`` is the camera's noise-free frame, where it is known already.
 
     Raises
     ------
@@ -156,7 +162,8 @@ def check_visibility(
     all_on = np.ones(markers.count, dtype=bool)
     rest = build_scene(sensor, tolerance_mm=tolerance)
     on = build_scene(sensor, tolerance_mm=tolerance, switch_on=all_on)
-    return measure_visibility(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
+    noise = design.camera.noise_pixel
+    return measure_visibility(rest, on, camera, noise_std=noise, rng=rng, frame=frame)
 
 
 def best_of(each: Sequence[Visibility]) -> tuple[Visibility, IntArray]:
@@ -184,12 +191,13 @@ def measure_visibility(
     noise_std: float,
     rng: np.random.Generator,
     both: tuple[Buffers, Buffers] | None = None,
+    frame: ImageArray | None = None,
 ) -> Visibility:
     """Visibility in a scene, which may be a moved one; ``on`` is the same with red tips out.
 
-    ``both`` are ``rasterise`` of the two, where they are known already.
+    ``both`` are ``rasterise`` of the two, and ``frame`` is a noise-free frame of the first, where
+    they are known already.
     """
-    samples = 4  # samples per pixel of the frame that decides on fusion
     buffers, out = both or (rasterise(rest, camera), rasterise(on, camera))
     marker = paint_owner(buffers.part)
     spots = spot_owner(buffers.part, rest.count)
@@ -201,7 +209,10 @@ def measure_visibility(
         owner_sums(red_owner(part), rest.count)[:, 0].astype(np.int64)
         for part in (buffers.part, out.part)
     ]
-    frame = render_frame(rest, camera, noise_std=noise_std, rng=rng, samples=samples)
+    if frame is None:
+        frame = render_frame(rest, camera, samples=4)
+    if noise_std > 0.0:
+        frame = add_noise(frame, noise_std, rng)
     occluded = (fraction < FRACTION_MIN) | (visible < PIXELS_MIN)
     occluder = np.full(rest.count, SELF, dtype=np.int64)
     hidden = np.flatnonzero(fraction < FRACTION_MIN)

@@ -1,7 +1,9 @@
 """Pictures of one press from rest to the largest force: the camera's view, and a close view."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from html import escape
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +15,7 @@ from phytac_design.layout.cameras import cameras_of
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.simulation.contacts import Contacts, switch_states
-from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +40,34 @@ class PressPictures:
     camera: int
     whole: list[bytes]
     close: list[bytes]
+
+    def arrays(self) -> dict[str, Any]:
+        """Arrays for a stage's file."""
+        out: dict[str, Any] = {"pressed_force_N": self.force_N, "pressed_on": self.on}
+        out |= {"pressed_marker": self.marker, "pressed_camera": self.camera}
+        for name in ("whole", "close"):
+            for number, data in enumerate(getattr(self, name)):
+                out[f"pressed_{name}_{number}"] = np.frombuffer(data, dtype=np.uint8)
+        return out
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Any]) -> "PressPictures | None":
+        """Pictures among a stage's arrays; None if there are none."""
+        if "pressed_force_N" not in arrays:
+            return None
+        force = arrays["pressed_force_N"]
+        whole, close = (
+            [arrays[f"pressed_{name}_{number}"].tobytes() for number in range(len(force))]
+            for name in ("whole", "close")
+        )
+        return cls(
+            force_N=force,
+            on=arrays["pressed_on"],
+            marker=int(arrays["pressed_marker"]),
+            camera=int(arrays["pressed_camera"]),
+            whole=whole,
+            close=close,
+        )
 
 
 def window(camera: Camera, low_px: FloatArray, width_px: float, out_px: int) -> Camera:
@@ -76,21 +106,32 @@ def close_to(camera: Camera, point_mm: FloatArray, width_px: int) -> Camera:
 
 
 def press_pictures(
-    context: Context, *, steps: int = 6, width_px: int = 640
-) -> PressPictures | None:
-    """Render the press that the stage ``underload`` kept; None if it could solve none.
+    context: Context,
+    uv: FloatArray,
+    motion: FloatArray,
+    camera_number: IntArray,
+    *,
+    steps: int = 6,
+    width_px: int = 640,
+) -> PressPictures:
+    """Render a press with the design's largest force.
 
     Between rest and the full force the wall's motion is interpolated linearly, in ``steps``
     pictures, rest included.
+
+    Parameters
+    ----------
+    uv : (2,) float
+        Its place.
+    motion : (n, 6) float
+        Motion of the wall under every marker, mm and rad.
+    camera_number : (n,) int
+        Camera that each marker is read through.
     """
-    kept = context.arrays("underload")
-    if not len(kept["shown_uv"]):
-        return None
     design, surface, markers = context.design, context.surface, context.markers
-    uv, motion = kept["shown_uv"][0], kept["shown_motion"][0]
     place = surface.point(uv[None])
     marker = int(np.linalg.norm(surface.point(markers.uv) - place, axis=1).argmin())
-    number = int(context.arrays("views")["camera"][marker])
+    number = int(camera_number[marker])
     camera = cameras_of(design, surface)[number]
     share = np.linspace(0.0, 1.0, steps)
     force = share * design.training.force_max_N

@@ -6,16 +6,14 @@ from functools import cached_property
 from textwrap import wrap
 from typing import Any
 
-import cv2
 import numpy as np
 
-from phytac_decoder.io.recorded_frames import read_image
 from phytac_design.core import html as page
 from phytac_design.core.figures import new_figure, png
-from phytac_design.engine.stage import EXPORT, Context
+from phytac_design.engine.stage import Context, thumbnail_path
 from phytac_design.geometry import flat_map
 from phytac_design.layout.markers import Markers
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 INK = {
     "blue": "#1c48d6",
@@ -158,13 +156,6 @@ def error_bars(table: Mapping[str, Mapping[str, Any]], marks: Mapping[str, str])
     return png(figure)
 
 
-def thumbnail(image: ImageArray, width_px: int) -> bytes:
-    """JPEG of an image (BGR) scaled to a width, for the page."""
-    height = round(image.shape[0] * width_px / image.shape[1])
-    small = cv2.resize(image, (width_px, height), interpolation=cv2.INTER_AREA)
-    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 85])[1])
-
-
 @dataclass(frozen=True)
 class Drawing:
     """Draws the markers of one sensor on its maps."""
@@ -237,11 +228,10 @@ class Drawing:
 
 def photo(context: Context, stage: str, name: str, caption: str) -> str:
     """Figure of a picture that a stage wrote; "" if it wrote none."""
-    path = context.folders[stage] / EXPORT / "views" / name
+    path = thumbnail_path(context.folders[stage], name)
     if not path.is_file():
         return ""
-    data = thumbnail(read_image(path), 900)
-    return page.figure(data, caption, "jpeg", name=f"{path.stem}.jpg")
+    return page.figure(path.read_bytes(), caption, "jpeg", name=path.name)
 
 
 def of_camera(report: Mapping[str, Any], number: int) -> str:

@@ -1,7 +1,6 @@
 """Sections of the page."""
 
 from collections.abc import Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from html import escape
 from typing import Any
 
@@ -16,7 +15,7 @@ from phytac_design.optics.sharpness import DIRECTIONS
 from phytac_design.report import figure_names, report_figures, score_tables
 from phytac_design.report.explorer import GAP_PX, explorer_section, softness_um_N
 from phytac_design.report.fabrication_section import fabrication_section
-from phytac_design.report.press_pictures import PressPictures, press_pictures, press_slider
+from phytac_design.report.press_pictures import PressPictures, press_slider
 from phytac_design.report.provenance import provenance_section, time_section
 from phytac_design.report.report_figures import Drawing, of_camera, photo
 from phytac_design.report.verdict import sentence
@@ -160,7 +159,6 @@ def under_load_section(
     context: Context,
     report: Mapping[str, Any],
     draw: Drawing,
-    pressed: PressPictures | None,
 ) -> str:
     """Visibility under load, with the pictures of a press."""
     columns = {
@@ -172,7 +170,7 @@ def under_load_section(
         "greatest_shift_px": "largest shift (px)",
     }
     load, arrays = report["under_load"], context.arrays("underload")
-    slider = ""
+    slider, pressed = "", PressPictures.from_arrays(arrays)
     if pressed is not None:
         name = context.markers.name(pressed.marker)
         slider = press_slider(pressed, name, of_camera(report, pressed.camera))
@@ -444,45 +442,37 @@ def sections_of(context: Context, report: Mapping[str, Any]) -> list[tuple[str, 
 
     marks = score_tables.marks_of(limits, list(report["decoder"]))
     learnt = page.flatten({"training": report["training"], "twin": report["twin"]})
-    # Renders need no interpreter lock, and no other stage runs beside the report.
-    with ThreadPoolExecutor(1) as pool:
-        pressed = pool.submit(press_pictures, context)
-        first = [
-            ("Shell and markers", explorer_section(context, draw.layout_png())),
-            ("Camera", camera_section(context, report, draw)),
-        ]
-        later = [
-            ("Lens", lens_section(context, report)),
-            ("Predicted resolution", resolution_section(context, report, draw)),
-            ("Markers and paints", markers_section(context, report, draw)),
-            ("Mechanics", mechanics_section(context, report, draw)),
-            ("Switches", switch_section(context, report)),
-            ("Molds, fixtures and print rules", fabrication_section(context, report)),
-            ("Decoder: rendered frames", frames_section(context, report, table("decoder_frames"))),
-            (
-                "Decoder: held-out contacts",
-                table("decoder")
-                + f"<p>({page.number(PAPER)}.)</p>"
-                + page.figure(
-                    report_figures.error_bars(report["decoder"], marks),
-                    "Relative error of the estimators, contacts on receptors",
-                    name="estimators.png",
-                )
-                + "<p>Contacts anywhere on the surface, between receptors too:</p>"
-                + table("decoder_anywhere")
-                + "<p>Contacts that trip no switch are counted apart: the motion of the markers "
-                "alone shows them.</p>" + figure_names.facts(learnt),
-            ),
-            (
-                "Assumptions",
-                "<p>Not stated by the paper; set these to your own parts. Names as in the design "
-                "file.</p>"
-                + page.details(
-                    "All of them", figure_names.facts(report["assumptions"], "assumptions")
-                ),
-            ),
-            ("Time and plan", time_section(context, report)),
-            ("Provenance", provenance_section(context, report)),
-        ]
-    under_load = under_load_section(context, report, draw, pressed.result())
-    return [*first, ("Under load", under_load), *later]
+    return [
+        ("Shell and markers", explorer_section(context, draw.layout_png())),
+        ("Camera", camera_section(context, report, draw)),
+        ("Under load", under_load_section(context, report, draw)),
+        ("Lens", lens_section(context, report)),
+        ("Predicted resolution", resolution_section(context, report, draw)),
+        ("Markers and paints", markers_section(context, report, draw)),
+        ("Mechanics", mechanics_section(context, report, draw)),
+        ("Switches", switch_section(context, report)),
+        ("Molds, fixtures and print rules", fabrication_section(context, report)),
+        ("Decoder: rendered frames", frames_section(context, report, table("decoder_frames"))),
+        (
+            "Decoder: held-out contacts",
+            table("decoder")
+            + f"<p>({page.number(PAPER)}.)</p>"
+            + page.figure(
+                report_figures.error_bars(report["decoder"], marks),
+                "Relative error of the estimators, contacts on receptors",
+                name="estimators.png",
+            )
+            + "<p>Contacts anywhere on the surface, between receptors too:</p>"
+            + table("decoder_anywhere")
+            + "<p>Contacts that trip no switch are counted apart: the motion of the markers "
+            "alone shows them.</p>" + figure_names.facts(learnt),
+        ),
+        (
+            "Assumptions",
+            "<p>Not stated by the paper; set these to your own parts. Names as in the design "
+            "file.</p>"
+            + page.details("All of them", figure_names.facts(report["assumptions"], "assumptions")),
+        ),
+        ("Time and plan", time_section(context, report)),
+        ("Provenance", provenance_section(context, report)),
+    ]

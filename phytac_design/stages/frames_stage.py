@@ -15,7 +15,7 @@ from phytac_design.simulation.contacts import Switching
 from phytac_design.simulation.force_errors import score_contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
 from phytac_design.stages.renders_stage import frame_contacts, noisy, rendered, rendered_example
-from phytac_design.stages.views_stage import write_image
+from phytac_design.stages.views_stage import write_view
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 
@@ -34,7 +34,7 @@ class DecodedFrames:
 def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> None:
     """Write ``views/NAME.png``, and ``views/NAME_far.png`` of a second camera."""
     for frame, mark in zip(frames, CAMERA_SUFFIXES, strict=False):
-        write_image(export_path(folder, f"views/{name}{mark}.png"), frame)
+        write_view(folder, f"{name}{mark}.png", frame, noisy=True)
 
 
 def decode_all(context: Context, folder: Path, switching: Switching) -> DecodedFrames:

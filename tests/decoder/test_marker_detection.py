@@ -84,6 +84,22 @@ def test_edges_of_markers_count_in_part() -> None:
     assert error[0] < 0.7 * error[1]
 
 
+@pytest.mark.parametrize("centre", [(3.0, 2.5), (80.3, 60.2), (157.6, 117.1), (0.4, 119.0)])
+def test_blobs_are_the_same_wherever_they_lie_in_the_image(centre: tuple[float, float]) -> None:
+    """Only the part of the image around a paint is searched for it."""
+    image = discs([centre, (30.0, 90.0)], ["blue", "green"])
+    middle = discs([(80.0, 60.0), centre], ["red", "blue"])  # paints in other parts
+    for picture in (image, middle):
+        around = cv2.copyMakeBorder(picture, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=GREY)
+        found = segment(picture, MODEL, with_labels=True)
+        apart = segment(around, MODEL, with_labels=True)
+        assert found.centroid_px == pytest.approx(apart.centroid_px - 40.0, abs=1e-9)
+        assert (found.box_px == apart.box_px - 40).all()
+        assert (found.area_px == apart.area_px).all()
+        inside = apart.labels[40:-40, 40:-40] if apart.labels is not None else None
+        assert np.array_equal(found.labels, inside)
+
+
 def test_gain_does_not_move_centroids() -> None:
     """A disc whose one half is in shade, as the side of a receptor is."""
     image, centres = scattered(radius=6.0)

@@ -61,17 +61,15 @@ def test_a_window_is_a_part_of_the_picture(bent: bool) -> None:
 
 def test_pictures_go_from_rest_to_the_full_force(tmp_path: Path) -> None:
     n = 32
-    motion = np.zeros((1, n, 6))
-    motion[0, 9, :3] = [0.0, 0.0, 3.0]
-    arrays = {
-        "underload": {"shown_uv": np.zeros((0, 2)), "shown_motion": np.zeros((0, n, 6))},
-        "views": {"camera": np.zeros(n, dtype=int)},
-    }
-    context = context_of(tmp_path, arrays)
-    assert press_pictures.press_pictures(context) is None
-    uv = context.markers.uv[9:10]
-    write_arrays(tmp_path / "underload", {"shown_uv": uv, "shown_motion": motion})
-    made = press_pictures.press_pictures(context)
+    motion = np.zeros((n, 6))
+    motion[9, :3] = [0.0, 0.0, 3.0]
+    context = context_of(tmp_path, {})
+    assert press_pictures.PressPictures.from_arrays({}) is None
+    camera_number = np.zeros(n, dtype=int)
+    made = press_pictures.press_pictures(context, context.markers.uv[9], motion, camera_number)
+    write_arrays(tmp_path, made.arrays())
+    with np.load(tmp_path / "arrays.npz") as kept:
+        made = press_pictures.PressPictures.from_arrays(kept)
     assert made is not None
     assert (made.marker, made.camera) == (9, 0)
     top = context.design.training.force_max_N

@@ -20,6 +20,9 @@ COUNTS_EXPONENT = 0.8
 """Weights of pixels are their share of full chroma to this power: in proportion to the covered part
 of a pixel in sRGB (measured: half covered by paint on a grey wall is a share of 0.41)."""
 
+EDGE_REACH_px = 2
+"""Width of the edge around a blob whose pixels count in part."""
+
 LIGHT_STEP, LIGHT_MIN, LIGHT_MAX = 0.05, 0.7, 1.4
 """Changes of light since the rest frame are followed in these steps between these factors of chroma
 (half and twice the exposure in sRGB); farther changes count as the last step."""
@@ -249,6 +252,9 @@ def segment(
     found = 0
     for colour in range(len(model.names)):
         mask = cv2.compare(classes, colour + 1, cv2.CMP_EQ)
+        # Nothing but the box around the paint, and what its edges reach.
+        corner, part = _around(mask)
+        mask = mask[part]
         own, renumber, boxes, area = _components(mask, area_min_px)
         x, y = _pixels(mask)
         small = renumber[own[y, x]] == 0
@@ -257,12 +263,16 @@ def segment(
         x, y = _pixels(cv2.compare(wide, 0, cv2.CMP_GT))
         blob = renumber[wide[y, x].astype(np.int64)]
         size = len(boxes) + 1
-        weight = model.coverage(flat[y, x], colour)
+        weight = model.coverage(flat[part][y, x], colour)
         total = np.bincount(blob, weights=weight, minlength=size)[1:]
-        sums = [np.bincount(blob, weights=weight * c, minlength=size)[1:] for c in (x, y)]
+        sums = [
+            np.bincount(blob, weights=weight * (c + first), minlength=size)[1:]
+            for c, first in zip((x, y), corner, strict=True)
+        ]
         if labels is not None:
             inside = renumber[own[y, x]] == blob
-            labels[y[inside], x[inside]] = blob[inside] + found
+            labels[part][y[inside], x[inside]] = blob[inside] + found
+        boxes = boxes + np.tile(corner, 2)
         found += size - 1
         parts.append(
             (
@@ -296,6 +306,14 @@ def segment_in_its_light(image_bgr: ImageArray, model: ColourModel, *, camera: i
     return blobs if lit is model else segment(image_bgr, lit)
 
 
+def _around(mask: ImageArray) -> tuple[IntArray, tuple[slice, slice]]:
+    """Box around the pixels that are not 0 and their edges: corner (x, y), and part of the image."""
+    left, top, width, height = cv2.boundingRect(mask)
+    x, y = max(left - EDGE_REACH_px, 0), max(top - EDGE_REACH_px, 0)
+    part = slice(y, top + height + EDGE_REACH_px), slice(x, left + width + EDGE_REACH_px)
+    return np.array([x, y]), part
+
+
 def _pixels(mask: ImageArray) -> IntArray:
     """Column and row (2, m) of the pixels that are not 0."""
     found = cv2.findNonZero(mask)
@@ -303,11 +321,11 @@ def _pixels(mask: ImageArray) -> IntArray:
     return np.zeros((2, 0), dtype=np.int64) if found is None else found.reshape(-1, 2).T
 
 
-def _with_edges(labels: NDArray[Any], reach_px: int = 2) -> NDArray[Any]:
-    """Label image with labelled regions grown by some pixels, not into each other."""
+def _with_edges(labels: NDArray[Any]) -> NDArray[Any]:
+    """Label image with the edges of labelled regions, which do not grow into each other."""
     # OpenCV dilates 16-bit and floating-point images, not 32-bit integers.
     exact = labels if labels.dtype == np.uint16 else labels.astype(np.float32)
-    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach_px + 1,) * 2)
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * EDGE_REACH_px + 1,) * 2)
     wide = cv2.dilate(exact, around)
     cv2.copyTo(exact, cv2.compare(exact, 0, cv2.CMP_GT), wide)
     return np.asarray(wide)

@@ -153,6 +153,8 @@ class Shot:
         What the decoder's marker detector finds in the frames.
     covers : TipCovers
         Tips that cover the paint of other markers.
+    found_px : (n, 2) float
+        Positions of the markers that the detector finds in the frame at rest.
     """
 
     camera: Camera
@@ -164,6 +166,7 @@ class Shot:
     marks: MarkVisibility
     expected: ExpectedView
     covers: TipCovers
+    found_px: FloatArray
 
     def positions(self, sensor: Sensor, frame: ImageArray) -> FloatArray:
         """Positions (n, 2) px of the markers that the detector finds in a frame."""
@@ -176,7 +179,7 @@ class Shot:
 
         Those of small markers by their edges too, against the frame at rest.
         """
-        rest_px = self.positions(sensor, self.frames[0])
+        rest_px = self.found_px
         model, off = colour_model(sensor.design)[0], np.zeros(sensor.markers.count, dtype=np.bool_)
         area_px = self.seen.visible_px.astype(np.float64)
         edges = MarkerEdges.at_rest(self.frames[0], model, rest_px, area_px)
@@ -203,10 +206,12 @@ def look(
         for state in (False, True)
     )
     both = at_rest, all_on = rasterise(rest, camera), rasterise(on, camera)
-    seen = measure_visibility(rest, on, camera, noise_std=noise_std, rng=rng, both=both)
+    frames = (render_frame(rest, camera), render_frame(on, camera))
+    seen = measure_visibility(
+        rest, on, camera, noise_std=noise_std, rng=rng, both=both, frame=frames[0]
+    )
     away = camera.project(markers.tip_mm) if len(sensor.cameras) == 1 else np.nan
     place = np.where(seen.lost[:, None], away, seen.centroid_px)
-    frames = (render_frame(rest, camera), render_frame(on, camera))
     marks = mark_visibility(sensor, rest, camera, frames[0], buffers=at_rest)
     expected = measure_expected(
         sensor,
@@ -227,8 +232,9 @@ def look(
         marks=marks,
         expected=expected,
         covers=exact_covers(at_rest.part, all_on.part, markers.count),
+        found_px=np.empty((0, 2)),
     )
-    return _with_covers(sensor, shot)
+    return _with_covers(sensor, replace(shot, found_px=shot.positions(sensor, frames[0])))
 
 
 def _with_covers(sensor: Sensor, shot: Shot) -> Shot:
@@ -237,7 +243,7 @@ def _with_covers(sensor: Sensor, shot: Shot) -> Shot:
 
     def detect(out: BoolArray) -> FloatArray:
         if not out.any():
-            return shot.positions(sensor, shot.frames[0])
+            return shot.found_px
         scene = build_scene(sensor, tolerance_mm=tolerance, switch_on=out)
         return shot.positions(sensor, render_frame(scene, shot.camera))
 
