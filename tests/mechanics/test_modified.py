@@ -205,6 +205,27 @@ def test_buckling_that_linear_theory_misses(
     assert "unstable" in seen[1.3].reason
 
 
+def test_a_factor_of_the_tangent_tells_how_soft_a_shell_is(
+    shell: tuple[ShellMesh, QuasiNewtonSolver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where products with the tangent do not."""
+    mesh, solver = shell
+    load, critical = squeeze(mesh, solver.model)
+    decided = solver.solve(0.75 * critical * load)
+    motion = moved(decided).ravel()
+    assert solver._shell.is_firmer(motion, decided.lowest_eigenvalue - 0.05)
+    assert not solver._shell.is_firmer(motion, decided.lowest_eigenvalue + 0.05)
+    settings = replace(quasi_newton.SETTINGS, max_products=1)
+    monkeypatch.setattr(quasi_newton, "SETTINGS", settings)
+    found = solver.solve(0.75 * critical * load)
+    assert (found.status, found.guarded) == ("ok", "")
+    assert found.lowest_eigenvalue == settings.factored_eigenvalue
+    assert found.error <= settings.tolerance
+    assert apart(moved(found), moved(decided)) < settings.tolerance
+    soft = solver.solve(0.99 * critical * load)
+    assert "soft" in soft.guarded
+
+
 def test_linear_theory_where_it_suffices(
     shell: tuple[ShellMesh, QuasiNewtonSolver],
 ) -> None:

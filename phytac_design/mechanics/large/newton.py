@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from phytac_design.mechanics.large.corotational import Configuration, Corotational, LocalElements
+from phytac_design.mechanics.large.free_block import FreeBlock
 from phytac_design.mechanics.large.stability import negative_pivots
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_shapes.arrays import FloatArray
@@ -149,30 +150,17 @@ class System:
         self.force = dense_vector(load, size)
         if not np.any(self.force):
             raise NumericalError("load-zero", f"the load is zero at all {size} DOFs; give a force")
-        self.free = np.flatnonzero(~model.fixed.ravel())
-        diagonal = model.stiffness.diagonal()
-        self.scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-        self._slots, self._skeleton = self._reduction()
+        self._block = FreeBlock(model)
+        self.free, self.scale = self._block.free, self._block.scale
         self._factor: Any = None
-
-    def _reduction(self) -> tuple[Any, Any]:
-        """Where the entries of the free block lie in a full matrix, and an empty free block."""
-        full = self.model.stiffness.copy()
-        full.data = np.arange(full.nnz, dtype=np.float64)
-        free = full[self.free][:, self.free].tocsc()
-        slots = free.data.astype(np.int64)
-        column = np.repeat(np.arange(len(self.free)), np.diff(free.indptr))
-        self._weights = self.scale[self.free[free.indices]] * self.scale[self.free[column]]
-        return slots, free
 
     def directions(self, K: Any, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Motion (6N,) that balances the residual, and motion per unit of λ."""
         from scipy.sparse.linalg import splu
 
-        self._skeleton.data = K.data[self._slots] * self._weights
         self._factor = None  # two factors at once would double the memory
         try:
-            factor = self._factor = splu(self._skeleton, **SUPERLU)
+            factor = self._factor = splu(self._block.scaled(K.data), **SUPERLU)
         except RuntimeError as error:
             raise NotConvergedError(
                 "tangent-singular", f"the tangent is singular ({error})"
@@ -194,7 +182,7 @@ class System:
 
     def negative_eigenvalues(self) -> int | None:
         """Negative eigenvalues of the last tangent factored; 0 (at rest) if there was none."""
-        return 0 if self._factor is None else negative_pivots(self._factor, self._skeleton)
+        return 0 if self._factor is None else negative_pivots(self._factor, self._block.matrix)
 
     @cached_property
     def initial_rate(self) -> FloatArray:

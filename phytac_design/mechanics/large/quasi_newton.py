@@ -66,9 +66,12 @@ class QuasiNewtonSettings:
     """Lower bound of the lowest eigenvalue that is accepted after so many tangent products."""
     soft_eigenvalue: float = 0.05
     soft_products: int = 8
-    """The same after more products; a softer shell is left to path following."""
+    """The same after more products."""
     max_products: int = 40
     """Products at most; together they cost less than one factorisation."""
+    factored_eigenvalue: float = 0.02
+    """The same by a factor of the tangent, where products do not tell; a softer shell is left to
+    path following, which factors it three times and more."""
     approximate_residual: float = 1e-3
     max_approximate_residual: float = 5e-3
     """Residual (in the norm of K₀, over the linear motion) at which
@@ -77,6 +80,10 @@ class QuasiNewtonSettings:
 
 
 SETTINGS = QuasiNewtonSettings()
+
+
+class UndecidedError(NotConvergedError):
+    """Products with the tangent do not tell whether a shell is soft."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -359,13 +366,18 @@ class QuasiNewtonSolver:
         NumericalError
             If the iteration does not converge, or its result may be unstable or off the path.
         """
-        lowest, error = SETTINGS.firm_eigenvalue, np.inf
+        lowest, error, undecided = SETTINGS.firm_eigenvalue, np.inf, False
         for number, (motion, distance) in enumerate(self._steps(expansion, force), start=1):
             # The residual is that of the motion times the eigenvalue along it.
-            if distance <= lowest * SETTINGS.last_step_gain * SETTINGS.tolerance:
-                lowest = self._check_stability(motion, expansion, force)
-                error = distance / (lowest * SETTINGS.last_step_gain)
+            if distance > lowest * SETTINGS.last_step_gain * SETTINGS.tolerance:
+                continue
+            if not undecided:
+                found = self._check_stability(motion, expansion, force)
+                undecided, lowest = found is None, found or SETTINGS.factored_eigenvalue
+            error = distance / (lowest * SETTINGS.last_step_gain)
             if error <= SETTINGS.tolerance:
+                if undecided and not self._shell.is_firmer(motion, lowest):
+                    raise NotConvergedError("quasi-newton-soft-mode", "the shell is soft here")
                 return LoadCaseSolution(
                     motion=motion.reshape(-1, 6),
                     large=True,
@@ -375,8 +387,10 @@ class QuasiNewtonSolver:
                 )
         raise AssertionError("the steps end with an error")
 
-    def _check_stability(self, x: FloatArray, expansion: Expansion, force: FloatArray) -> float:
-        """Lowest Ritz value at the result.
+    def _check_stability(
+        self, x: FloatArray, expansion: Expansion, force: FloatArray
+    ) -> float | None:
+        """Lowest Ritz value at the result; None if products do not tell whether it is soft.
 
         Raises
         ------
@@ -405,7 +419,11 @@ class QuasiNewtonSolver:
                 "quasi-newton-inconsistent",
                 "the result deviates from the tangents at rest and at the result",
             )
-        return min(along, self._lowest_eigenvalue(product, expansion, SETTINGS.soft_eigenvalue))
+        try:
+            lowest = self._lowest_eigenvalue(product, expansion, SETTINGS.soft_eigenvalue)
+        except UndecidedError:
+            return None
+        return min(along, lowest)
 
     def _lowest_eigenvalue(
         self, product: Callable[[FloatArray], FloatArray], expansion: Expansion, minimum: float
@@ -415,7 +433,7 @@ class QuasiNewtonSolver:
         Raises
         ------
         NotConvergedError
-            If it is lower.
+            If it is lower; an UndecidedError if the most products do not tell.
         """
         force = self._shell.random_force(expansion.first)
         value = np.inf
@@ -426,7 +444,7 @@ class QuasiNewtonSolver:
                 return value
             if value < minimum or count >= SETTINGS.max_products:
                 break
-        raise NotConvergedError(
+        raise (NotConvergedError if value < minimum else UndecidedError)(
             "quasi-newton-soft-mode", f"the shell is soft here (lowest Ritz value {value:.2g})"
         )
 

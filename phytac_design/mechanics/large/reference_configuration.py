@@ -2,14 +2,17 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
+from phytac_design.mechanics.large.free_block import FreeBlock
 from phytac_design.mechanics.large.shared_solves import shared, side_by_side
-from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.mechanics.large.stability import negative_pivots
+from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 T = TypeVar("T")
@@ -121,6 +124,26 @@ class ReferenceShell:
         # Largest turn in the differences, rad: error and rounding both below 1e-5.
         step = 1e-5 / self.motion_size(along)
         return (self._forces(_state(motion).moved(step * along)) - internal) / step
+
+    @cached_property
+    def _block(self) -> FreeBlock:
+        return FreeBlock(self.model)
+
+    def is_firmer(self, motion: FloatArray, share: float) -> bool:
+        """Whether all eigenvalues of K₀⁻¹K_t at a motion (6N,) are above ``share``.
+
+        By Sylvester's law, from the pivots of K_t − share · K₀: one factorisation, which takes as
+        long as some 40 products with the tangent.
+        """
+        from scipy.sparse.linalg import splu
+
+        tangent = self._elastic.tangent(self._elastic.local(_state(motion)))
+        entries = 0.5 * (tangent.data + tangent.T.tocsc().data)
+        matrix = self._block.scaled(entries - share * self.model.stiffness.data)
+        try:
+            return negative_pivots(splu(matrix, **SUPERLU), matrix) == 0
+        except RuntimeError:
+            return False
 
     def expand(self, first: FloatArray, force: FloatArray) -> Expansion:
         r"""Koiter's expansion, with the load factor as parameter, from linear motion and its load.

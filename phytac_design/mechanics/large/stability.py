@@ -1,6 +1,6 @@
 """Stability of an equilibrium, and whether an increment stayed on its path.
 
-Two measures of stability:
+Two measures of stability (:meth:`.ReferenceShell.is_firmer` uses the first to bound the second):
 
 - *negative pivots* of a factored tangent. With pivots on the diagonal, P K Pᵀ = L U with a unit L,
   and for a symmetric K Sylvester's law makes the negative entries of diag(U) as many as its
