@@ -5,17 +5,20 @@ from pathlib import Path
 import numpy as np
 
 from phytac_design.engine.stage import Context
-from phytac_design.stages.renders_stage import rendered_example
-from phytac_design.stages.views_stage import write_image
+from phytac_design.stages.renders_stage import rendered, rendered_example, write_frame
 from tests.designs import COARSE, tiny
 
 
 def test_an_example_without_a_frame_of_its_own_is_its_sample(tmp_path: Path) -> None:
     context = Context(design=tiny(), accuracy=COARSE, seed=0, folders={"renders": tmp_path})
-    sample, own = np.full((4, 6, 3), 10, np.uint8), np.full((4, 6, 3), 20, np.uint8)
-    write_image(tmp_path / "3_0.png", sample)
+    size = (context.design.camera.height_px, context.design.camera.width_px, 3)
+    sample, own = np.random.default_rng(0).integers(0, 256, (2, *size), dtype=np.uint8)
+    write_frame(tmp_path, "3", 0, sample)
     (frame,) = rendered_example(context, 3)
     np.testing.assert_array_equal(frame, sample)
-    write_image(tmp_path / "example_0.png", own)
+    write_frame(tmp_path, "example", 0, own)
     (frame,) = rendered_example(context, 3)
     np.testing.assert_array_equal(frame, own)
+    write_frame(tmp_path, "3", 1, own)
+    for frame, expected in zip(rendered(context, "3"), (sample, own), strict=True):
+        np.testing.assert_array_equal(frame, expected)
