@@ -36,9 +36,11 @@ def test_one_flipped_byte_in_each_kind_of_file(
     for stage, folder in built.folders.items():
         shutil.copytree(folder, own / stage / folder.name)
     monkeypatch.setenv("PHYTAC_CACHE", str(own))
-    # Of each kind the file whose stage takes least to compute again.
+    # Of each kind the file whose stage takes least to compute again; not of stages that are left
+    # out of a draft, unless they are named.
+    made = [name for name, folder in built.folders.items() if (folder / "export").is_dir()]
     kinds: dict[str, Path] = {}
-    for stage in sorted(built.timing_s, key=built.timing_s.__getitem__):
+    for stage in sorted(made, key=built.timing_s.__getitem__):
         for path in sorted((own / stage).rglob("*")):
             if path.is_file() and path.stat().st_size:
                 kinds.setdefault(path.suffix, path)

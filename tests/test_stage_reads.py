@@ -15,7 +15,7 @@ from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.design.field_groups import PARTS, fields_of, values_of
 from phytac_design.design.layout_table import LayoutSection
 from phytac_design.design.spec import Design
-from phytac_design.engine.stage import Context
+from phytac_design.engine.stage import Context, _sensor_of
 from phytac_design.layout import marker_layout as layout_make
 from phytac_design.layout.markers import Markers
 from phytac_design.stages import STAGES, decoder_stage
@@ -157,6 +157,7 @@ def watch(design: Design, trace: Trace, folder: Path, stages: set[str]) -> None:
             continue
         own = folder / stage.name
         own.mkdir()
+        _sensor_of.cache_clear()  # what an earlier stage has read of the sensor is read again
         context = Context(
             design=design,
             accuracy=COARSE,

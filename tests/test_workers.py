@@ -136,20 +136,61 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif(sys.platform != "linux", reason="workers are spawned")
 @pytest.mark.parametrize(
-    ("module", "expected"),
-    [("xml.dom.minidom", "(True, True, True)"), ("not_a_module", "(False, True, False)")],
+    ("module", "folder", "expected"),
+    [
+        ("xml.dom.minidom", "", "(True, True, True)"),
+        ("not_a_module", "", "(False, True, True)"),
+        ("fails", "", "(False, True, True)"),
+        ("xml.dom.minidom", 90 * "long", "(False, True, False)"),  # no room for a socket's name
+    ],
 )
 def test_workers_have_imported_what_was_named_ahead(
-    tmp_path: Path, module: str, expected: str
+    tmp_path: Path, module: str, folder: str, expected: str
 ) -> None:
     script = tmp_path / "script.py"
     script.write_text(AHEAD)
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    (tmp_path / "fails.py").write_text("raise ValueError")
+    temporary = tmp_path / folder[:200]
+    temporary.mkdir(exist_ok=True)
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "TMPDIR": str(temporary)}
     done = subprocess.run(
         [sys.executable, str(script), module], env=env, check=True, capture_output=True, text=True
     )
     assert done.stdout.strip() == expected
     assert done.stderr == ""
+
+
+SLOW = """
+import time
+from phytac_design.core.workers import import_ahead
+if __name__ == "__main__":
+    import_ahead("slow")
+    print("begun", flush=True)
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        print("stopped")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are spawned")
+def test_ctrl_c_while_modules_are_imported_ahead_prints_nothing(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SLOW)
+    mark = tmp_path / "mark"
+    (tmp_path / "slow.py").write_text(
+        f"import pathlib, time; pathlib.Path({str(mark)!r}).touch(); time.sleep(1.0)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, str(tmp_path / "script.py")],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    _until(mark.exists, 60.0)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.communicate(timeout=60.0) == ("begun\nstopped\n", "")
 
 
 PRODUCTS = """

@@ -81,15 +81,8 @@ def build(
     as_json: JsonOption = False,
 ) -> None:
     """Build everything of a design: shell, views, mesh, decoder, report."""
+    from phytac_design.core.threads import workers as usable_cores
     from phytac_design.core.workers import import_ahead
-
-    if workers != 1:
-        import_ahead("phytac_design.stages.build")
-    from phytac_design.design.accuracy import settings_of, with_settings
-    from phytac_design.design.design_file import load_design
-    from phytac_design.design.spec import Design
-    from phytac_design.stages.build import build as run_build
-    from phytac_design.stages.build import with_named
 
     _refuse_both(
         {
@@ -107,6 +100,14 @@ def build(
             "give a design to build, as in: phytac build cylinder60; or a study's candidate, as "
             "in: phytac build --from-study FOLDER --trial 42",
         )
+    if not within and not scene and (workers or usable_cores()) > 1:
+        import_ahead("phytac_design.stages.build")
+    from phytac_design.design.accuracy import settings_of, with_settings
+    from phytac_design.design.design_file import load_design
+    from phytac_design.design.spec import Design
+    from phytac_design.stages.build import build as run_build
+    from phytac_design.stages.build import with_named
+
     loaded: Design
     if from_study is not None and trial is not None:
         from phytac_design.study.search.study_folder import rebuild
@@ -140,7 +141,6 @@ def build(
             )
             return
         from phytac_design.cli.build_display import BuildDisplay
-        from phytac_design.core.kernels import workers as usable_cores
         from phytac_design.study.planning.cost import stage_costs
 
         with BuildDisplay() as display:

@@ -81,7 +81,7 @@ def watch(
     A save during a build stops it; finished stages are kept.
     """
     from phytac_design.cli.build_display import BuildDisplay
-    from phytac_design.core.kernels import workers as usable_cores
+    from phytac_design.core.threads import workers as usable_cores
     from phytac_design.design.accuracy import settings_of
     from phytac_design.design.design_file import load_design
     from phytac_design.stages.build import build

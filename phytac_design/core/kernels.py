@@ -1,6 +1,5 @@
 """Compiled loops and threads, shared by the rasteriser and its users."""
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
@@ -8,7 +7,7 @@ from typing import Any, TypeVar, cast
 import numba
 
 from phytac_design.core.cache_folder import cache_root
-from phytac_design.core.threads import THREADS
+from phytac_design.core.threads import workers
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -30,12 +29,6 @@ def kernel(function: Kernel) -> Kernel:
         except (RuntimeError, OSError):
             compiled = numba.njit(**options)(function)
     return cast("Kernel", compiled)
-
-
-def workers() -> int:
-    """Threads to use: ``$PHYTAC_THREADS``, or the cores this process may run on, at most eight."""
-    own = os.environ.get(THREADS, "")
-    return max(1, min(8, int(own) if own.isdigit() else len(os.sched_getaffinity(0))))
 
 
 def in_bands(work: Callable[[int, int], None], rows: int, *, band_rows: int = 0) -> None:

@@ -7,6 +7,8 @@ later, and would copy the memory that workers share.
 
 import gc
 import os
+import signal
+from contextlib import suppress
 from importlib import import_module
 
 from phytac_design.core.threads import PRELOAD
@@ -16,10 +18,24 @@ def _first() -> int:
     return 0
 
 
-gc.disable()
-try:
-    import_module(os.environ[PRELOAD])
-    import_module("phytac_design.core.kernels").kernel(_first)()
+def _preload(module: str) -> None:
+    gc.disable()
+    # Ctrl-C is for the command; what comes after this, the server sees to itself.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    # What cannot be imported here fails again, and is reported, in the process that needs it.
+    with suppress(Exception):
+        import_module(module)
+        import_module("phytac_design.core.kernels").kernel(_first)()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     gc.freeze()
-finally:
     gc.enable()
+
+
+# A server that another one replaces starts without: not every import is right in its environment.
+if PRELOAD in os.environ:
+    name, _, path = os.environ.pop(PRELOAD).partition(os.pathsep)
+    os.environ["PYTHONPATH"] = path
+    if not path:
+        del os.environ["PYTHONPATH"]
+    _preload(name)

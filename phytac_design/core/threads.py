@@ -16,6 +16,12 @@ BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 on the number of threads."""
 
 
+def workers() -> int:
+    """Threads to use: ``$PHYTAC_THREADS``, or the cores this process may run on, at most eight."""
+    own = os.environ.get(THREADS, "")
+    return max(1, min(8, int(own) if own.isdigit() else len(os.sched_getaffinity(0))))
+
+
 @contextmanager
 def one_thread_each(*others: str) -> Iterator[None]:
     """Processes started inside use one BLAS thread each; ``others`` are set to 1 as well."""

@@ -6,6 +6,7 @@ Scripts that use a pool must guard their own start with ``if __name__ == "__main
 """
 
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -44,19 +45,35 @@ class TaskResult:
     lost: str = ""
 
 
-def import_ahead(module: str) -> None:
+_SERVER = threading.Lock()
+_started: set[int] = set()
+"""This process, once its server runs."""
+
+
+def import_ahead(module: str) -> bool:
     """Begin to import what workers will need, in the server, while this process does other things.
 
-    Without effect where a server runs already, and on systems other than Linux.
+    Without effect where the server runs already. Returns whether there is one: there is none on
+    systems other than Linux, and where its socket cannot be made (`TMPDIR` may be too long).
     """
     if sys.platform != "linux":
-        return
-    from multiprocessing import forkserver
+        return False
+    from multiprocessing import forkserver, resource_tracker
 
-    forkserver.set_forkserver_preload(["phytac_design.core.preloaded"])
-    # It finds modules where this process does.
-    with _starting({PRELOAD: module, "PYTHONPATH": os.pathsep.join(sys.path)}):
-        forkserver.ensure_running()
+    with _SERVER:
+        if os.getpid() not in _started:
+            resource_tracker.ensure_running()  # which unblocks Ctrl-C as it starts
+            forkserver.set_forkserver_preload(["phytac_design.core.preloaded"])
+            # It finds modules where this process does.
+            path = os.environ.get("PYTHONPATH", "")
+            more = {PRELOAD: f"{module}{os.pathsep}{path}", "PYTHONPATH": os.pathsep.join(sys.path)}
+            try:
+                with _starting(more):
+                    forkserver.ensure_running()
+            except OSError:
+                return False
+            _started.add(os.getpid())
+        return True
 
 
 @contextmanager
@@ -235,12 +252,14 @@ class _Process:
         arguments: tuple[Any, ...],
         work: Callable[[Any, Any], Any],
     ) -> None:
-        import_ahead(work.__module__)
-        context: Any = get_context("forkserver" if sys.platform == "linux" else "spawn")
+        forked = import_ahead(work.__module__)
+        context: Any = get_context("forkserver" if forked else "spawn")
         self.pipe, other = context.Pipe()
         with _starting({}):
-            given = (other, dict(os.environ), start, arguments, work)
-            self.process = context.Process(target=_serve, args=given)
+            # Unpickled, and so imported, in the environment of now.
+            given = pickle.dumps((start, arguments, work))
+            arguments = (other, dict(os.environ), given)
+            self.process = context.Process(target=_serve, args=arguments)
             self.process.start()
         other.close()
         self.task: _Task | None = None
@@ -310,20 +329,27 @@ def _ready(busy: list[_Process]) -> list[_Process]:
 def _serve(
     pipe: Connection,
     environment: Mapping[str, str],
-    start: Callable[..., Any] | None,
-    arguments: tuple[Any, ...],
-    work: Callable[[Any, Any], Any],
+    given: bytes,
 ) -> None:
-    """Do tasks until the pipe closes; end with the parent, however that ends."""
+    """Do tasks until the pipe closes; end with the parent, however that ends.
+
+    Parameters
+    ----------
+    environment : mapping
+        Of the parent; a server keeps the one in which it started.
+    given : bytes
+        What the pool was given, pickled: ``start``, ``arguments``, ``work``.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # The parent handles Ctrl-C and ends its workers.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    os.environ.update(environment)  # a server keeps the one in which it started
+    os.environ.update(environment)
     for name in set(os.environ) - set(environment):
         del os.environ[name]
     _Process.own_pipe = pipe
     threading.Thread(target=_end_with_parent, daemon=True).start()
     state: Any = None
     failure: Exception | None = None
+    start, arguments, work = pickle.loads(given)  # noqa: S301  by its own parent
     try:
         state = start(*arguments) if start else None
     except Exception as error:  # noqa: BLE001  raised in the parent

@@ -170,7 +170,7 @@ def under_load_section(
         "greatest_shift_px": "largest shift (px)",
     }
     load, arrays = report["under_load"], context.arrays("underload")
-    slider, pressed = "", PressPictures.from_arrays(arrays)
+    slider, pressed = "", PressPictures.from_arrays(context.arrays("pressed"))
     if pressed is not None:
         name = context.markers.name(pressed.marker)
         slider = press_slider(pressed, name, of_camera(report, pressed.camera))

@@ -11,6 +11,7 @@ from phytac_design.stages.loaded_views_stage import UNDERLOAD
 from phytac_design.stages.mesh_stage import MESH
 from phytac_design.stages.mold_stage import MOLD
 from phytac_design.stages.places_stage import PLACES
+from phytac_design.stages.pressed_stage import PRESSED
 from phytac_design.stages.printing_stage import PRINTING
 from phytac_design.stages.renders_stage import RENDERS
 from phytac_design.stages.report_stage import REPORT
@@ -25,6 +26,7 @@ STAGES: tuple[Stage, ...] = (
     SWITCH,
     COMPARE,
     UNDERLOAD,
+    PRESSED,
     RESOLUTION,
     SHELL,
     STEP,

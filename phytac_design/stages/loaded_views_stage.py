@@ -15,7 +15,6 @@ from phytac_design.mechanics.shell.compliance import column_turn
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.optics.loaded_visibility import LoadedVisibility, visibility_under_load
 from phytac_design.optics.render_scene import build_scene
-from phytac_design.report.press_pictures import press_pictures
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import decoder_shell
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -214,9 +213,6 @@ def run_underload(context: Context, folder: Path) -> None:
     shown = done.shown() if len(uv) else 0
     # One press for the report's pictures; empty if none was solved.
     picture = {"shown_uv": uv[shown : shown + 1], "shown_motion": done.motion[shown : shown + 1]}
-    if len(uv):
-        pressed = press_pictures(context, uv[shown], done.motion[shown], views["camera"])
-        picture |= pressed.arrays()
     write_arrays(folder, {"uv": uv, **asdict(found), **picture})
     facts: dict[str, Any] = {
         "presses": len(uv),

@@ -134,20 +134,21 @@ def write_frame(folder: Path, name: str, camera: int, frame: ImageArray) -> None
     """Keep a frame of a camera, by its number: Zstandard takes a third of a PNG's time."""
     import pyarrow as pa
 
+    size = np.array(frame.shape, dtype=np.int64).tobytes()
     data = pa.compress(np.ascontiguousarray(frame), codec="zstd", asbytes=True)
-    (folder / f"{name}_{camera}.zst").write_bytes(data)
+    (folder / f"{name}_{camera}.zst").write_bytes(size + data)
 
 
 def rendered(context: Context, name: str) -> tuple[ImageArray, ...]:
-    """Frames that the stage has rendered: ``rest``, or of a sample by its number."""
+    """Frames that the stage has rendered, read-only: ``rest``, or of a sample by its number."""
     import pyarrow as pa
 
-    camera = context.design.camera
-    shape = camera.height_px, camera.width_px, 3
     out = []
     for path in sorted(context.folders["renders"].glob(f"{name}_*.zst")):
-        data = pa.decompress(path.read_bytes(), int(np.prod(shape)), codec="zstd")
-        out.append(np.frombuffer(data, dtype=np.uint8).reshape(shape))
+        file = path.read_bytes()
+        size = np.frombuffer(file[:24], dtype=np.int64)
+        data = pa.decompress(file[24:], int(size.prod()), codec="zstd")
+        out.append(np.frombuffer(data, dtype=np.uint8).reshape(size))
     return tuple(out)
 
 

@@ -134,6 +134,7 @@ REPORT = Stage(
         "switch",
         "compare",
         "underload",
+        "pressed",
         "resolution",
         "shell",
         "step",

@@ -68,7 +68,7 @@ class QuasiNewtonSettings:
     soft_products: int = 8
     """The same after more products."""
     max_products: int = 40
-    """Products at most; together they cost less than one factorisation."""
+    """Products at most; together they cost about as much as one tangent and its factor."""
     factored_eigenvalue: float = 0.02
     """The same by a factor of the tangent, where products do not tell; a softer shell is left to
     path following, which factors it three times and more."""
@@ -105,7 +105,8 @@ class LoadCaseSolution:
         Estimated error of the translations over the greatest one, of theory (linear) and
         iteration; that of the mesh is not part of it. NaN without a motion.
     lowest_eigenvalue : float
-        Lowest Ritz value of K₀⁻¹K_t; NaN where path following took over.
+        Lowest Ritz value of K₀⁻¹K_t, or a lower bound where a factor of the tangent gave one; NaN
+        where path following took over.
     iterations : int
         Of the accelerated method.
     guarded : str
@@ -444,7 +445,9 @@ class QuasiNewtonSolver:
                 return value
             if value < minimum or count >= SETTINGS.max_products:
                 break
-        raise (NotConvergedError if value < minimum else UndecidedError)(
+        if value >= minimum:
+            raise UndecidedError("quasi-newton-undecided", "products do not tell how soft it is")
+        raise NotConvergedError(
             "quasi-newton-soft-mode", f"the shell is soft here (lowest Ritz value {value:.2g})"
         )
 

@@ -1,5 +1,6 @@
 """A shell from its state at rest: forces, tangent products, solves, Koiter's expansion."""
 
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +17,9 @@ from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 T = TypeVar("T")
+_FACTORING = threading.Lock()
+"""Load cases that are solved together factor their tangents one after the other: for memory, and
+because the matrix is one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,18 +136,19 @@ class ReferenceShell:
     def is_firmer(self, motion: FloatArray, share: float) -> bool:
         """Whether all eigenvalues of K₀⁻¹K_t at a motion (6N,) are above ``share``.
 
-        By Sylvester's law, from the pivots of K_t − share · K₀: one factorisation, which takes as
-        long as some 40 products with the tangent.
+        By Sylvester's law, from the pivots of K_t − share · K₀: tangent and factor take as long as
+        some 40 products with the tangent.
         """
         from scipy.sparse.linalg import splu
 
-        tangent = self._elastic.tangent(self._elastic.local(_state(motion)))
-        entries = 0.5 * (tangent.data + tangent.T.tocsc().data)
-        matrix = self._block.scaled(entries - share * self.model.stiffness.data)
-        try:
-            return negative_pivots(splu(matrix, **SUPERLU), matrix) == 0
-        except RuntimeError:
-            return False
+        with _FACTORING:
+            tangent = self._elastic.tangent(self._elastic.local(_state(motion)))
+            entries = 0.5 * (tangent.data + tangent.T.tocsc().data)
+            matrix = self._block.scaled(entries - share * self.model.stiffness.data)
+            try:
+                return negative_pivots(splu(matrix, **SUPERLU), matrix) == 0
+            except RuntimeError:
+                return False
 
     def expand(self, first: FloatArray, force: FloatArray) -> Expansion:
         r"""Koiter's expansion, with the load factor as parameter, from linear motion and its load.

@@ -202,6 +202,7 @@ def features(
             "large": large * counts.presses * nodes / 10.0,
             "nodes": nodes,
         },
+        "pressed": {"one": 1.0, "markers": n},
         "resolution": {"one": 1.0, "nodes": nodes, "loads": nodes * counts.in_play / 100.0},
         "shell": solid,
         "step": {"one": float(accuracy.step), "markers": accuracy.step * n},

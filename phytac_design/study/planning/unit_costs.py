@@ -16,6 +16,7 @@ WALL_s: dict[str, dict[str, float]] = {
     "mesh": {"nodes": 0.1602, "one": 0.0009649},
     "mold": {"fine": 0.626, "markers": 0.9335},
     "places": {"copies": 0.00534, "large": 2.008, "nodes": 1.59, "orders": 0.4775},
+    "pressed": {"markers": 0.175, "one": 0.3},
     "printing": {"fine": 0.2161, "one": 0.5155, "tools": 5.953},
     "renders": {"markers": 1.92, "one": 2.706, "pixels": 0.07001},
     "report": {"one": 1.107},
@@ -42,9 +43,10 @@ CPU_s: dict[str, dict[str, float]] = {
     "mesh": {"nodes": 0.1385},
     "mold": {"markers": 2.149, "one": 0.6075},
     "places": {"copies": 0.009261, "nodes": 1.758, "orders": 3.411, "solves": 0.7768},
+    "pressed": {"markers": 0.175, "one": 0.3},
     "printing": {"fine_tools": 3.138, "markers": 0.3214, "one": 0.7384, "tools": 0.4596},
     "renders": {"markers": 0.7004, "nodes": 0.2288, "pixels": 0.04274, "solves": 0.02599},
-    "report": {"markers": 0.1048, "one": 2.758},
+    "report": {"markers": 0.15, "one": 0.55},
     "resolution": {"loads": 0.08928, "one": 0.2894},
     "response": {"loads": 0.1953, "markers": 0.00607, "nodes": 0.09822},
     "shell": {"fine": 0.2189, "markers": 0.2898, "one": 0.5096},
@@ -57,7 +59,8 @@ CPU_s: dict[str, dict[str, float]] = {
 """Processor seconds of a stage in its own process; from builds of shipped designs and scenes.
 
 ``renders`` and ``frames`` are from builds of four shipped designs, 5 to 20 frames of 5 megapixels,
-on one thread."""
+on one thread. ``pressed`` and ``report``, of which it was a part, are from drafts of ``cylinder60``
+and ``cylinder60-dense``; its memory is the report's."""
 MEMORY_MB: dict[str, dict[str, float]] = {
     "bench": {"markers": 15.0, "one": 514.0},
     "compare": {"one": 227.3, "pixels": 73.01},
@@ -69,6 +72,7 @@ MEMORY_MB: dict[str, dict[str, float]] = {
     "mesh": {"nodes": 49.13, "one": 194.0},
     "mold": {"markers": 58.21, "one": 460.8},
     "places": {"copies": 3.213, "large": 357.2, "nodes": 166.0, "one": 321.2},
+    "pressed": {"markers": 7.254, "one": 370.0},
     "printing": {"markers": 5.195, "one": 331.6, "tools": 91.79},
     "renders": {"nodes": 31.11, "one": 302.8, "solves": 6.08},
     "report": {"markers": 7.254, "one": 370.0},

@@ -23,7 +23,7 @@ Progress = Callable[[str], None]
 GROUPS = (
     ("views", "switch", "compare"),
     ("mesh", "response", "resolution", "places"),
-    ("underload",),
+    ("underload", "pressed"),
     ("shell", "step", "hardware", "mold", "kit", "inserts", "printing", "bench"),
     ("twin", "decoder"),
     ("renders", "frames", "report"),

@@ -83,8 +83,11 @@ def test_a_process_that_is_killed_loses_nothing(
 ) -> None:
     with closing(ProcessPool(2)) as pool:
         list(pool.run([made(Fine, k) for k in range(2)]))
-        workers = psutil.Process().children()
-        pids = [worker.pid for worker in workers if "spawn_main" in " ".join(worker.cmdline())]
+        started = psutil.Process().children(recursive=True)
+        names = {each.pid: " ".join(each.cmdline()) for each in started}
+        # On Linux they are forked from a server, whose command line they have.
+        forked = {each.pid for each in started if "forkserver" in names.get(each.ppid(), "")}
+        pids = [pid for pid in names if pid in forked or "spawn_main" in names[pid]]
         assert len(pids) == 2
         check_pool(pool, expected, tmp_path, pids[0])
         found = outcomes(pool, Deadly)
