@@ -63,11 +63,10 @@ def render_frame(
     light = render_light(scene, camera, samples=samples)
     encode = to_srgb(np.arange(levels) / (levels - 1.0)).astype(np.float32)
     table = (encode + np.float32(0.5)).astype(np.uint8)
-    frame = np.zeros(light.shape, dtype=np.uint8)
+    frame = np.empty(light.shape, dtype=np.uint8)
 
     def band(first: int, last: int) -> None:
-        level = light[first:last] * np.float32(levels - 1) + np.float32(0.5)
-        frame[first:last] = table[level.astype(np.int32)]
+        _encode(light[first:last], table, frame[first:last])
 
     in_bands(band, camera.height_px, band_rows=BAND_ROWS)
     if noise_std > 0.0:
@@ -75,6 +74,17 @@ def render_frame(
             raise ValueError("render_frame: noise_std > 0 needs a random generator; pass rng=...")
         frame = add_noise(frame, noise_std, rng)
     return frame
+
+
+@kernel
+def _encode(light: NDArray[np.float32], table: NDArray[np.uint8], frame: ImageArray) -> None:
+    """Write light from 0 to 1 (h, w, 3) by a table of as many steps as it has entries."""
+    last = np.float32(len(table) - 1)
+    for row in range(light.shape[0]):
+        for column in range(light.shape[1]):
+            for channel in range(3):
+                level = np.float32(light[row, column, channel] * last)
+                frame[row, column, channel] = table[int(level + np.float32(0.5))]
 
 
 def quick_samples(camera: Camera) -> int:
