@@ -20,7 +20,7 @@ def _first() -> int:
 
 def _preload(module: str) -> None:
     gc.disable()
-    # Ctrl-C is for the command; what comes after this, the server sees to itself.
+    # Ctrl-C is for the command; once all is imported, the server ignores it by itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     # What cannot be imported here fails again, and is reported, in the process that needs it.
@@ -32,7 +32,8 @@ def _preload(module: str) -> None:
     gc.enable()
 
 
-# A server that another one replaces starts without: not every import is right in its environment.
+# A server that replaces one which died is started without it, and with other numbers of threads:
+# its workers import for themselves.
 if PRELOAD in os.environ:
     name, _, path = os.environ.pop(PRELOAD).partition(os.pathsep)
     os.environ["PYTHONPATH"] = path
