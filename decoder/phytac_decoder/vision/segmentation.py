@@ -307,7 +307,7 @@ def segment_in_its_light(image_bgr: ImageArray, model: ColourModel, *, camera: i
 
 
 def _around(mask: ImageArray) -> tuple[IntArray, tuple[slice, slice]]:
-    """Box around the pixels that are not 0 and their edges: corner (x, y), and part of the image."""
+    """Box around the pixels that are not 0, and their edges: its corner (x, y), and its slices."""
     left, top, width, height = cv2.boundingRect(mask)
     x, y = max(left - EDGE_REACH_px, 0), max(top - EDGE_REACH_px, 0)
     part = slice(y, top + height + EDGE_REACH_px), slice(x, left + width + EDGE_REACH_px)
