@@ -157,7 +157,7 @@ EXTRAS = {
 
 def main() -> None:
     """Run the command line; a user's error is one line on standard error and an exit code."""
-    # At exit Python looks for garbage among all modules, which takes 0.3 s. All files are closed by
+    # At exit Python looks for garbage among all modules, which takes 0.25 s. All files are closed by
     # whoever opens them.
     atexit.register(gc.freeze)
     try:
