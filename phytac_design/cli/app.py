@@ -157,8 +157,8 @@ EXTRAS = {
 
 def main() -> None:
     """Run the command line; a user's error is one line on standard error and an exit code."""
-    # At exit Python looks for garbage among all modules, which takes 0.25 s. All files are closed by
-    # whoever opens them.
+    # At exit Python looks for garbage among all modules, which takes 0.25 s. Whoever opens a file
+    # closes it.
     atexit.register(gc.freeze)
     try:
         app(prog_name="phytac")
