@@ -134,7 +134,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="workers are spawned")
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux alone")
 @pytest.mark.parametrize(
     ("module", "folder", "expected"),
     [
@@ -173,7 +173,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="workers are spawned")
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux alone")
 def test_ctrl_c_while_modules_are_imported_ahead_prints_nothing(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(SLOW)
     mark = tmp_path / "mark"

@@ -8,8 +8,8 @@ THREADS = "PHYTAC_THREADS"
 """Environment variable that bounds the threads; processes that run side by side set it to 1."""
 
 PRELOAD = "PHYTAC_PRELOAD"
-"""Environment variable that names the module which worker processes have imported, see
-:mod:`.preloaded`."""
+"""Environment variable by which a server of workers knows what to import, see
+:mod:`.preloaded`: the name of a module, and the PYTHONPATH to go back to."""
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """What the common BLAS libraries read when they are loaded. The last digits of their results depend
@@ -23,11 +23,11 @@ def workers() -> int:
 
 
 @contextmanager
-def one_thread_each(*others: str) -> Iterator[None]:
-    """Processes started inside use one BLAS thread each; ``others`` are set to 1 as well."""
-    names = (*BLAS_THREADS, *others)
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
+def one_thread_each(**variables: str) -> Iterator[None]:
+    """Processes started inside use one BLAS thread each, and have these variables as well."""
+    inside = dict.fromkeys(BLAS_THREADS, "1") | variables
+    before = {name: os.environ.get(name) for name in inside}
+    os.environ.update(inside)
     try:
         yield
     finally:

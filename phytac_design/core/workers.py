@@ -46,8 +46,8 @@ class TaskResult:
 
 
 _SERVER = threading.Lock()
-_started: set[int] = set()
-"""This process, once its server runs."""
+_served: set[int] = set()
+"""Number of this process once it has a server: a worker that starts workers has one of its own."""
 
 
 def import_ahead(module: str) -> bool:
@@ -61,38 +61,30 @@ def import_ahead(module: str) -> bool:
     from multiprocessing import forkserver, resource_tracker
 
     with _SERVER:
-        if os.getpid() not in _started:
+        if os.getpid() not in _served:
             resource_tracker.ensure_running()  # which unblocks Ctrl-C as it starts
             forkserver.set_forkserver_preload(["phytac_design.core.preloaded"])
             # It finds modules where this process does.
-            path = os.environ.get("PYTHONPATH", "")
-            more = {PRELOAD: f"{module}{os.pathsep}{path}", "PYTHONPATH": os.pathsep.join(sys.path)}
+            named = os.pathsep.join([module, os.environ.get("PYTHONPATH", "")])
             try:
-                with _starting(more):
+                with _starting(**{PRELOAD: named}, PYTHONPATH=os.pathsep.join(sys.path)):
                     forkserver.ensure_running()
             except OSError:
                 return False
-            _started.add(os.getpid())
+            _served.add(os.getpid())
         return True
 
 
 @contextmanager
-def _starting(variables: Mapping[str, str]) -> Iterator[None]:
+def _starting(**variables: str) -> Iterator[None]:
     """Environment in which a server or a worker starts, with some more variables."""
     # Until it ignores Ctrl-C, see `_serve`: one that comes while it imports would print a
     # traceback.
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    before = {name: os.environ.get(name) for name in variables}
     try:
-        with one_thread_each(THREADS):
-            os.environ.update(variables)
+        with one_thread_each(**{THREADS: "1"}, **variables):
             yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 
@@ -255,7 +247,7 @@ class _Process:
         forked = import_ahead(work.__module__)
         context: Any = get_context("forkserver" if forked else "spawn")
         self.pipe, other = context.Pipe()
-        with _starting({}):
+        with _starting():
             # Unpickled, and so imported, in the environment of now.
             given = pickle.dumps((start, arguments, work))
             arguments = (other, dict(os.environ), given)
@@ -349,7 +341,7 @@ def _serve(
     threading.Thread(target=_end_with_parent, daemon=True).start()
     state: Any = None
     failure: Exception | None = None
-    start, arguments, work = pickle.loads(given)  # noqa: S301  by its own parent
+    start, arguments, work = pickle.loads(given)  # noqa: S301  written by its parent
     try:
         state = start(*arguments) if start else None
     except Exception as error:  # noqa: BLE001  raised in the parent

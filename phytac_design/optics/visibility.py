@@ -210,7 +210,7 @@ def measure_visibility(
         for part in (buffers.part, out.part)
     ]
     if frame is None:
-        frame = render_frame(rest, camera, samples=4)
+        frame = render_frame(rest, camera)
     if noise_std > 0.0:
         frame = add_noise(frame, noise_std, rng)
     occluded = (fraction < FRACTION_MIN) | (visible < PIXELS_MIN)

@@ -43,28 +43,28 @@ class PressPictures:
 
     def arrays(self) -> dict[str, Any]:
         """Arrays for a stage's file."""
-        out: dict[str, Any] = {"pressed_force_N": self.force_N, "pressed_on": self.on}
-        out |= {"pressed_marker": self.marker, "pressed_camera": self.camera}
-        for name in ("whole", "close"):
-            for number, data in enumerate(getattr(self, name)):
-                out[f"pressed_{name}_{number}"] = np.frombuffer(data, dtype=np.uint8)
-        return out
+        pictures = {
+            f"{name}_{number}": np.frombuffer(data, dtype=np.uint8)
+            for name in ("whole", "close")
+            for number, data in enumerate(getattr(self, name))
+        }
+        figures = {name: getattr(self, name) for name in ("force_N", "on", "marker", "camera")}
+        return figures | pictures
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Any]) -> "PressPictures | None":
         """Pictures among a stage's arrays; None if there are none."""
-        if "pressed_force_N" not in arrays:
+        if "force_N" not in arrays:
             return None
-        force = arrays["pressed_force_N"]
         whole, close = (
-            [arrays[f"pressed_{name}_{number}"].tobytes() for number in range(len(force))]
+            [arrays[f"{name}_{number}"].tobytes() for number in range(len(arrays["force_N"]))]
             for name in ("whole", "close")
         )
         return cls(
-            force_N=force,
-            on=arrays["pressed_on"],
-            marker=int(arrays["pressed_marker"]),
-            camera=int(arrays["pressed_camera"]),
+            force_N=arrays["force_N"],
+            on=arrays["on"],
+            marker=int(arrays["marker"]),
+            camera=int(arrays["camera"]),
             whole=whole,
             close=close,
         )

@@ -34,7 +34,7 @@ class DecodedFrames:
 def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> None:
     """Write ``views/NAME.png``, and ``views/NAME_far.png`` of a second camera."""
     for frame, mark in zip(frames, CAMERA_SUFFIXES, strict=False):
-        write_view(folder, f"{name}{mark}.png", frame, noisy=True)
+        write_view(folder, f"{name}{mark}.png", frame)
 
 
 def decode_all(context: Context, folder: Path, switching: Switching) -> DecodedFrames:
