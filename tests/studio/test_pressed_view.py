@@ -205,6 +205,29 @@ def test_the_ring_is_dragged_by_mouse_and_moved_by_keys(browser: Any, tmp_path: 
         page.close()
 
 
+def test_nothing_moves_under_the_pointer_when_the_verdict_comes(
+    browser: Any, tmp_path: Path
+) -> None:
+    top = "document.querySelector('#cameras canvas').getBoundingClientRect().top"
+    with studio(tmp_path) as running:
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        held: list[Any] = []
+
+        def hold(route: Any) -> None:
+            held.append(route)
+
+        page.route("**/api/check", hold)
+        Pressed(page, running.url)
+        page.wait_for_function("document.querySelector('#verdict.wait .foot')")
+        before = page.evaluate(top)
+        while not held:
+            page.wait_for_timeout(20)
+        held[0].continue_()
+        page.locator("#verdict:not(.wait)").wait_for()
+        assert "Every marker is visible" in page.locator("#verdict").inner_text()
+        assert page.evaluate(top) == before
+
+
 def test_the_ring_is_dragged_by_a_finger(browser: Any, tmp_path: Path) -> None:
     with studio(tmp_path) as running:
         phone = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)

@@ -180,7 +180,8 @@ export class Views {
     }
     const sum = hidden ? `${hidden} markers are hidden in a sample of rays.`
       : "No marker is hidden in a sample of rays.";
-    this.verdict("wait", sum + " Checking…", lines, "");
+    // As high as the verdict, so that nothing moves under the pointer when that comes.
+    this.verdict("wait", sum + " Checking…", lines, "`phytac check` follows.");
   }
 
   check(found) {
