@@ -3,7 +3,7 @@
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.layout import make_markers
+from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.local_refinement import thinned_lines
 from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell, chart_mesh, plain_mesh
 from phytac_design.mechanics.meshing.quad_grid import product_grid
@@ -23,21 +23,26 @@ MARGIN = 1.0
 decays; twice that gains nothing."""
 
 
-def truth_shell(design: Design, surface: Surface, refine: int) -> tuple[ShellMesh, ShellModel]:
+def truth_shell(
+    design: Design, surface: Surface, refine: int, markers: Markers | None = None
+) -> tuple[ShellMesh, ShellModel]:
     """Mesh and linear model of the simulated sensor, blind to the markers.
 
     The wall has its receptors' stiffness, as the real one does, wherever that is known. On shapes
     that close around, ``refine`` elements per column around, and along the count that makes them
-    about square; on others ``refine`` elements for each side of a marker's cell.
+    about square; on others ``refine`` elements for each side of a marker's cell. ``markers`` are
+    the design's, if they are known.
     """
-    mesh = truth_mesh(design, surface, refine)
-    markers = make_markers(design, surface)
+    markers = markers or make_markers(design, surface)
+    mesh = truth_mesh(design, surface, refine, markers)
     return mesh, sensor_model(design, markers, mesh, receptors=not unknown_receptors(design))
 
 
-def truth_mesh(design: Design, surface: Surface, refine: int) -> ShellMesh:
+def truth_mesh(
+    design: Design, surface: Surface, refine: int, markers: Markers | None = None
+) -> ShellMesh:
     """Mesh of :func:`truth_shell`."""
-    markers = make_markers(design, surface)
+    markers = markers or make_markers(design, surface)
     wall = design.wall.thickness_mm
     if markers.lattice and surface.periodic[1] and not any(surface.poles):
         (u0, u1), (v0, v1) = surface.domain

@@ -14,7 +14,8 @@ from phytac_design.layout.heights_along import along_mm, middle_mm
 from phytac_design.simulation.contacts import Switching
 from phytac_design.simulation.force_errors import score_contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
-from phytac_design.stages.renders_stage import frame_contacts, noisy, rendered, rendered_example
+from phytac_design.stages.renders_stage import noisy, rendered, rendered_example
+from phytac_design.stages.response_stage import frame_contacts
 from phytac_design.stages.views_stage import write_view
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.engine.stage import Context, Stage, write_facts
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh
@@ -14,11 +13,10 @@ from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.optics.frame_renderer import add_noise, quick_samples, render_frame
 from phytac_design.optics.pressed_scene import PressedScene
-from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
+from phytac_design.simulation.contacts import Contacts, Switching
 from phytac_design.simulation.linear_response import motion_responses, superpose
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-from phytac_design.simulation.scenario.scene_scope import scope_of
-from phytac_design.stages.response_stage import truth_model
+from phytac_design.stages.response_stage import frame_contacts, truth_model
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 
@@ -36,31 +34,24 @@ class FrameContacts:
     shown: FloatArray | None = None
 
 
-def frame_contacts(context: Context) -> tuple[Contacts, Switching]:
-    """Draw contacts of one to five at once, and what they trip."""
-    scope = scope_of(context)
-    contacts = draw_contacts(
-        context.sensor,
-        samples=context.accuracy.frames,
-        rng=np.random.default_rng([context.seed, 2]),
-        most=context.scene.at_once if context.scene else ALL_AT_ONCE,
-        inside=scope.holds if scope else None,
-    )
-    return contacts, switch_states(context.sensor, contacts)
-
-
 def draw_frame_contacts(context: Context) -> FrameContacts:
     """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
-    contacts, switching = frame_contacts(context)
+    contacts, _ = frame_contacts(context)
     mesh, model = truth_model(context)
     responses = motion_responses(
         model, mesh, context.surface, context.markers, uv=contacts.uv, radius_mm=contacts.radius_mm
     )
-    motion = superpose(responses, contacts)
+    return press_frames(context, superpose(responses, contacts))
+
+
+def press_frames(context: Context, motion: FloatArray) -> FrameContacts:
+    """The contacts of :func:`.frame_contacts` with the motion (samples, n, 6) under them."""
+    contacts, switching = frame_contacts(context)
     pressed = FrameContacts(contacts=contacts, switching=switching, motion=motion)
     if context.accuracy.place_orders == 1:
         return pressed
-    example = contacts.of(pressed.switching.example)
+    mesh, model = truth_model(context)
+    example = contacts.of(switching.example)
     return replace(pressed, shown=large_motion(context, mesh, model, example))
 
 
@@ -115,7 +106,8 @@ def noisy(
 
 def run(context: Context, folder: Path) -> None:
     """Write each sample's frame of each camera, the unloaded sensor's, the example's if other."""
-    pressed, scenes = draw_frame_contacts(context), camera_scenes(context)
+    pressed = press_frames(context, context.arrays("twin")["frames.motion"])
+    scenes = camera_scenes(context)
     jobs: list[tuple[str, int | None, FloatArray | None]] = [
         ("rest", None, None),
         *((str(index), index, None) for index in range(len(pressed.motion))),
@@ -161,6 +153,8 @@ RENDERS = Stage(
     name="renders",
     design_fields=("mechanics", "markers", "bodies", "trips", "training"),
     settings=("truth_refine", "frames", "place_orders"),
+    depends_on=("twin",),
+    arrays={"twin": ("frames.motion",)},
     seeded=True,
     scene=("regions", "reach_mm", "at_once"),
     run=run,

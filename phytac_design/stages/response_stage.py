@@ -12,7 +12,7 @@ from phytac_design.layout.cameras import Readers
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_design.simulation.contacts import draw_contacts, switch_states
+from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
 from phytac_design.simulation.dataset import Dataset
 from phytac_design.simulation.instance_shell import local_mesh, truth_mesh, truth_shell
 from phytac_design.simulation.linear_response import (
@@ -138,8 +138,24 @@ def run_response(context: Context, folder: Path) -> None:
     )
 
 
+def frame_contacts(context: Context) -> tuple[Contacts, Switching]:
+    """Draw the contacts of rendered frames, one to five at once, and what they trip."""
+    scope = scope_of(context)
+    contacts = draw_contacts(
+        context.sensor,
+        samples=context.accuracy.frames,
+        rng=np.random.default_rng([context.seed, 2]),
+        most=context.scene.at_once if context.scene else ALL_AT_ONCE,
+        inside=scope.holds if scope else None,
+    )
+    return contacts, switch_states(context.sensor, contacts)
+
+
 def run_twin(context: Context, folder: Path) -> None:
-    """Draw contacts, solve them on the finer mesh, project and add noise."""
+    """Draw contacts, solve them on the finer mesh, project and add noise.
+
+    The contacts of rendered frames are solved with them: that mesh is factored once.
+    """
     design = context.design
     rng = np.random.default_rng([context.seed, 1])
     count = samples_of(design, context.accuracy.sample_share, context.accuracy.frames)
@@ -157,17 +173,19 @@ def run_twin(context: Context, folder: Path) -> None:
         )
         for name, samples in count.items()
     }
+    framed, _ = frame_contacts(context)
+    solved = (*drawn.values(), framed)
     mesh, model = truth_model(context)
     responses = motion_responses(
         model,
         mesh,
         context.surface,
         context.markers,
-        uv=np.concatenate([item.uv for item in drawn.values()]),
-        radius_mm=np.concatenate([item.radius_mm for item in drawn.values()]),
+        uv=np.concatenate([item.uv for item in solved]),
+        radius_mm=np.concatenate([item.radius_mm for item in solved]),
         progress=context.progress,
     )
-    dent = deepest_dent_mm(context, responses, np.concatenate([i.force_N for i in drawn.values()]))
+    dent = deepest_dent_mm(context, responses, np.concatenate([i.force_N for i in solved]))
     see = image_response_of(context)
     arrays: dict[str, Any] = {}
     start = 0
@@ -178,7 +196,7 @@ def run_twin(context: Context, folder: Path) -> None:
         noise = rng.normal(0.0, design.camera.noise_centroid_px, shift.shape)
         switching = switch_states(context.sensor, item)
         arrays |= Dataset(contacts=item, switching=switching, shift_px=shift + noise).arrays(name)
-    write_arrays(folder, arrays)
+    write_arrays(folder, arrays | {"frames.motion": superpose(responses[start:], framed)})
     wall = "plain shell" if unknown_receptors(design) else "shell with receptors"
     write_facts(
         folder,
@@ -196,12 +214,12 @@ def run_twin(context: Context, folder: Path) -> None:
 def truth_model(context: Context) -> tuple[ShellMesh, ShellModel]:
     """Mesh and model of the simulated sensor; in a scene fine in its regions alone."""
     design, surface, scope = context.design, context.surface, scope_of(context)
-    refine = context.accuracy.truth_refine
+    refine, markers = context.accuracy.truth_refine, context.markers
     if scope is None:
-        return truth_shell(design, surface, refine)
-    mesh = local_mesh(design, surface, truth_mesh(design, surface, refine), scope.touched)
+        return truth_shell(design, surface, refine, markers)
+    mesh = local_mesh(design, surface, truth_mesh(design, surface, refine, markers), scope.touched)
     receptors = not unknown_receptors(design)
-    return mesh, sensor_model(design, context.markers, mesh, receptors=receptors)
+    return mesh, sensor_model(design, markers, mesh, receptors=receptors)
 
 
 def deepest_dent_mm(context: Context, responses: FloatArray, force_N: FloatArray) -> float:

@@ -92,7 +92,7 @@ class Workload:
         self.repeats = repeats(self.surface, self.markers)
         self.nodes = cache(lambda refine: len(self._mesh(refine).nodes_mm))
         self.truth_nodes = cache(
-            lambda refine: len(truth_mesh(design, self.surface, refine).nodes_mm)
+            lambda refine: len(truth_mesh(design, self.surface, refine, self.markers).nodes_mm)
         )
         self.table_sectors = cache(self._table_sectors)
         self.place_rings = cache(self._place_rings)
@@ -156,7 +156,7 @@ class Workload:
             nodes=self.nodes(accuracy.refine),
             truth_nodes=truth,
             response_loads=rows if self.repeats > 1 else in_play,
-            twin_loads=min(contacts, adjoints),
+            twin_loads=min(contacts + round(accuracy.frames * mean), adjoints),
             places=places,
             place_solves=solves,
             large_solves=self.place_rings(HIGHER_ORDER_SPACING * accuracy.place_share, scope)[1],
@@ -243,8 +243,7 @@ def features(
             "frames": counts.frames,
             "pixels": counts.frames * pixels,
             "markers": counts.frames * n / 10.0,
-            "nodes": truth,
-            "solves": counts.frames * truth / 10.0,
+            "nodes": higher_orders * truth,
         },
         "frames": {
             "one": 1.0,

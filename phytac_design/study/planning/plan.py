@@ -246,6 +246,7 @@ def how_of(name: str, resolved: Resolved, counts: Counts) -> str:
     powers = "1 power" if accuracy.place_orders == 1 else f"{accuracy.place_orders} powers"
     local = ", fine in the regions alone" if resolved.scope else ""
     networks = "networks trained" if scene.networks else "no networks"
+    frames = f"{counts.frames} frames of {counts.megapixels:.1f} Mpx"
     solid = f"{counts.markers} receptors, chords within {accuracy.cad_tolerance_mm:g} mm"
     texts = dict.fromkeys(("shell", "hardware", "mold", "kit", "printing", "bench"), solid) | {
         "views": f"{counts.markers} markers, {counts.megapixels:.1f} Mpx, {pictures}",
@@ -260,9 +261,8 @@ def how_of(name: str, resolved: Resolved, counts: Counts) -> str:
         "twin": f"{counts.contacts} contacts, {counts.twin_loads} loads, {counts.truth_nodes} "
         f"nodes{local}",
         "decoder": f"{played}, {networks}, {scene.estimator}",
-        "renders": f"{counts.frames} frames of {counts.megapixels:.1f} Mpx, {counts.truth_nodes} "
-        f"nodes{local}",
-        "frames": f"{counts.frames} frames of {counts.megapixels:.1f} Mpx",
+        "renders": frames,
+        "frames": frames,
     }
     return texts.get(name, f"{counts.markers} receptors")
 
