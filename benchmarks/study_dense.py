@@ -19,7 +19,7 @@ from phytac_design.study.search.search_report import read_results
 from phytac_design.study.search.study_file import Budget, load_study
 from phytac_design.study.search.study_folder import rebuild
 
-STUDIES = {"dense-cylinder": (32, 1000), "dense-cone": (16, None), "dense-hemisphere": (16, None)}
+STUDIES = {"dense-cylinder": (96, 1200), "dense-cone": (16, None), "dense-hemisphere": (16, None)}
 """Candidates of each study, and the required count."""
 WHOLE = ("dense-cylinder", "cylinder60")
 """Built at standard accuracy; the others as drafts."""
