@@ -142,6 +142,10 @@ def test_files_that_are_not_designs(tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00binary")
     with refused("toml-syntax"):
         load_design(str(path))
+    path.write_text('name = "s"\ndesign = "cylinder60"\n[[variable]]\nfield = "layout.rows"\n')
+    with refused("field-invalid") as other:
+        load_design(str(path))
+    other.match("is a study, not a design")
     with refused("toml-file-not-found") as caught:
         load_design("cylinder6")
     caught.match("did you mean 'cylinder60'")

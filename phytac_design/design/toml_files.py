@@ -129,7 +129,8 @@ class TomlFileKind:
             return f"{where}.kind must be one of {kinds} (got {_literal(found)})"
         if self.label and len(path) > 1 and path[1].isdigit():
             table = data[path[0]][int(path[1])]
-            where += f" ({table.get(self.label, '?')})" if isinstance(table, dict) else ""
+            named = isinstance(table, dict) and self.label in table
+            where += f" ({table[self.label]})" if named else ""
         number = re.match(r"\s*([-+]?\d+(?:\.\d+)?)", got) if isinstance(got, str) else None
         if kind in {"float_parsing", "int_parsing"} and number:
             return f"{where}: write {number[1]}, without unit or quotes (got {_literal(got)})"

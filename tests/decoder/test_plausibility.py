@@ -131,7 +131,7 @@ def test_contacts_that_reach_over_the_end_of_the_surface_are_named(
 ) -> None:
     words = over_rims(at_end(np.array([x, y, 0.0]), radius_mm), flat_locator().places)
     assert len(words) == over
-    assert all("contacts of 9.0 N reach over the end" in text for text in words)
+    assert all("a contact of 9.0 N reaches over the end" in text for text in words)
 
 
 def test_contacts_that_may_reach_over_the_end_are_named_too() -> None:
@@ -156,7 +156,7 @@ def test_a_frame_warns_of_them() -> None:
     for inside_mm, over in ((0.0, True), (6.0, False)):
         found = replace(at_end(end + inside_mm * inward, 4.0), shift_px=np.zeros(2 * count))
         words = frame.warnings(sensor, np.zeros(count), estimator="auto", found=found)
-        assert any("reach over the end" in text for text in words) == over
+        assert any("over the end of the sensing surface" in text for text in words) == over
 
 
 def table_of(point_mm: FloatArray, along: FloatArray, around: FloatArray) -> ResponseTable:

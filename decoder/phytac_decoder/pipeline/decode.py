@@ -31,7 +31,7 @@ count as found when a frame is accepted or rejected."""
 
 Frames = ImageArray | Sequence[ImageArray]
 """A frame of each camera, in the bundle's order; one camera's may stand alone."""
-OVER_END = "reach over the end of the sensing surface"
+OVER_END = "over the end of the sensing surface"
 """Part of the warning of such contacts; the others of their frame are sound."""
 
 
@@ -344,11 +344,11 @@ def over_rims(found: ContactDetection, places: ResponseTable, *, inside: float =
     if not over:
         return []
     forces = ", ".join(f"{one.force_N:.1f}" for one in over)
+    reach = f"contacts of {forces} N reach" if len(over) > 1 else f"a contact of {forces} N reaches"
     words = (
-        f"contacts of {forces} N {OVER_END}: what presses beyond it is not measured, and force and "
-        "place are hard to tell apart there"
+        "what presses beyond it is not measured, and force and place are hard to tell apart there"
     )
-    return [words]
+    return [f"{reach} {OVER_END}: {words}"]
 
 
 def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:

@@ -49,6 +49,10 @@ REFUSED: dict[str, tuple[str, str]] = {
         HEAD + ROWS + '[[objective]]\nmeasure = "marker_cuont"\ngoal = "max"\n',
         "did you mean 'marker_count'",
     ),
+    "not to be had": (
+        HEAD + ROWS + '[[objective]]\nmeasure = "mass_g"\ngoal = "most"\n',
+        "objective.0.goal: input should be",
+    ),
     "contradiction": (
         HEAD
         + ROWS
