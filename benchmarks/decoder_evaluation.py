@@ -22,6 +22,7 @@ from phytac_design.training.evaluation.contact_scores import Bootstrap, interval
 from phytac_design.training.evaluation.decoded_contacts import DecodedContacts, decode_contacts
 from phytac_design.training.evaluation.groups import Groups, contact_positions, groups_of
 from phytac_design.training.fem_calibration import ReceptorSolver
+from phytac_design.training.locator_calibration import matches_by_switch
 from phytac_design.training.trainers import TRAINERS, TrainingTask
 from phytac_design.training.training_data import DataSet, split_data_sets
 from phytac_design.workflows.train_decoder import MECHANICS
@@ -170,11 +171,9 @@ def claims_of(
         own = slice(first[sample], first[sample + 1])
         marker, owner = truth.marker[own], truth.touch[own]
         on = owner >= 0
-        sets = [np.unique(owner[np.isin(marker, c.markers) & on]) for c in one.contacts]
         matched = [
-            (int(mine[0]), contact.force_N, contact.sd_N)
-            for contact, mine in zip(one.contacts, sets, strict=True)
-            if len(mine) == 1 and sum(mine[0] in other for other in sets) == 1
+            (touch, contact.force_N, contact.sd_N)
+            for touch, contact in matches_by_switch(one, marker[on], owner[on])
         ]
         rows += matched
         read = np.unique(owner[samples.bits_read[sample, marker] & on])

@@ -101,6 +101,7 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Evaluate every estimator of a decoder on data sets: tables, contacts, figures."""
+    from phytac_design.training.evaluation.interval_scores import intervals_text
     from phytac_design.workflows.evaluate_decoder import evaluate as run
 
     folder = bundle.resolve()
@@ -135,6 +136,8 @@ def evaluate(
         for name, sections in facts["estimators"].items()
     }
     typer.echo(_verdict(errors, facts["contacts"]["judged"]))
+    if facts["intervals"]:
+        typer.echo(intervals_text(facts["intervals"]))
     next_step(
         f"phytac live {bundle} 0 shows forces of a camera; every table is in {out / 'tables.md'}"
     )

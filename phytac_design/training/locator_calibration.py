@@ -107,7 +107,7 @@ def match_contacts(locator: ContactLocator, samples: Samples, chosen: IntArray) 
         found = locator.find(shift[sample], koi)
         chi2.append(found.reduced_chi2)
         own = slice(start[sample], start[sample + 1])
-        rows += _matched(found, truth.marker[own], truth.touch[own])
+        rows += matches_by_switch(found, truth.marker[own], truth.touch[own])
     if not rows:
         raise InputError(
             "no-switch-tripped",
@@ -127,10 +127,20 @@ def match_contacts(locator: ContactLocator, samples: Samples, chosen: IntArray) 
     )
 
 
-def _matched(
+def matches_by_switch(
     found: ContactDetection, marker: IntArray, touch: IntArray
 ) -> list[tuple[int, LocatedContact]]:
-    """Return the matches of one sample, whose switches (t,) belong to contacts ``touch`` (t,)."""
+    """Return the contacts of one sample that were found, and which of the pressed ones each is.
+
+    One that was found as two, or together with another, has no match.
+
+    Parameters
+    ----------
+    found : ContactDetection
+        What was found.
+    marker, touch : (t,) int
+        Markers whose switches were pressed, and the contact that each of them belongs to.
+    """
     out = []
     for contact in found.contacts:
         pressed = np.unique(touch[np.isin(marker, contact.markers)])

@@ -25,6 +25,7 @@ from phytac_design.training.evaluation.groups import (
     groups_of,
     kinds,
 )
+from phytac_design.training.evaluation.interval_scores import interval_scores
 from phytac_design.training.evaluation.tables import contacts_csv, tables_md
 from phytac_design.training.join_datasets import join_samples
 from phytac_design.training.result_folder import reserve_folder, write_folder
@@ -32,7 +33,7 @@ from phytac_design.training.training_data import DataSet, bundle_hash, read_data
 from phytac_shapes.errors import InputError, PhytacError
 
 TABLE = "evaluation.json"
-FORMAT, SCHEMA = "phytac-evaluation", "1.0"
+FORMAT, SCHEMA = "phytac-evaluation", "1.1"
 
 
 def evaluate(
@@ -141,6 +142,7 @@ def evaluate(
                 },
                 **counts(sets, samples, decoded),
                 "estimators": scores(decoded, groups, seed),
+                "intervals": interval_scores(decoded),
             }
         )
         kind = kinds(sets, samples, decoded)

@@ -8,6 +8,7 @@ import numpy as np
 
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_design.datasets.samples import FAILED, Samples
+from phytac_design.training.locator_calibration import matches_by_switch
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError, NumericalError
 
@@ -32,6 +33,9 @@ class DecodedContacts:
         Samples that did not fail.
     elsewhere_N : dict of (j,) float
         By estimator: decoded force on receptors without a contact, per evaluated sample.
+    stated : (m, 3) float
+        Row in the samples' touches, force and standard deviation of each contact that ``auto``
+        found alone: not as two, nor together with another.
     missed, on, false, off : int
         Number of switches that were on but not read, on, read but not on, and off.
     """
@@ -44,6 +48,7 @@ class DecodedContacts:
     decoded_N: dict[str, FloatArray]
     evaluated: IntArray
     elsewhere_N: dict[str, FloatArray]
+    stated: FloatArray
     missed: int
     on: int
     false: int
@@ -111,11 +116,21 @@ def decode_contacts(
     was_read = read[truth.sample, truth.marker].astype(np.float64)
     keep = np.flatnonzero(usable[touches.sample])
     decoded, elsewhere = {}, {}
+    stated: list[tuple[float, float, float]] = []
+    start = np.searchsorted(truth.sample[row], np.arange(samples.count + 1))
     for name in estimators if estimators is not None else model.estimators:
         progress(name)
         forces = np.zeros(bits.shape)
         for k in evaluated.tolist():
-            forces[k] = model.forces(name, shift[k], np.flatnonzero(read[k]))
+            koi = np.flatnonzero(read[k])
+            if name == "auto" and len(koi):
+                found = model.contacts(shift[k], koi)
+                forces[k] = found.receptor_forces_N(samples.markers)
+                own = slice(start[k], start[k + 1])
+                pairs = matches_by_switch(found, truth.marker[row][own], owner[own])
+                stated += [(touch, contact.force_N, contact.sd_N) for touch, contact in pairs]
+            else:
+                forces[k] = model.forces(name, shift[k], koi)
         if not np.isfinite(forces).all():
             bad = int(np.flatnonzero(~np.isfinite(forces).all(axis=1))[0])
             raise NumericalError(
@@ -140,6 +155,7 @@ def decode_contacts(
         decoded_N=decoded,
         evaluated=evaluated,
         elsewhere_N=elsewhere,
+        stated=np.array(stated).reshape(-1, 3),
         missed=int((seen_on & ~seen_read).sum()),
         on=int(seen_on.sum()),
         false=int((~seen_on & seen_read).sum()),

@@ -10,6 +10,7 @@ import numpy as np
 from phytac_design.datasets.samples import Samples
 from phytac_design.training.evaluation.decoded_contacts import DecodedContacts
 from phytac_design.training.evaluation.groups import ContactPositions
+from phytac_design.training.evaluation.interval_scores import intervals_text
 
 COLUMNS = (
     "sample", "contact", "kind", "x_mm", "y_mm", "z_mm", "along", "around", "radius_mm", "tripped",
@@ -102,7 +103,19 @@ def tables_md(facts: Mapping[str, Any]) -> str:
         f"| {name} | {item['elsewhere_N']['mean']:.3f} | {item['elsewhere_N']['largest']:.3f} |"
         for name, item in facts["estimators"].items()
     ]
+    if facts["intervals"]:
+        lines += ["", "## Standard deviations", "", f"{intervals_text(facts['intervals'])}."]
+        lines += [_matched_text(facts["intervals"])]
     return "\n".join(lines) + "\n"
+
+
+def _matched_text(scores: Mapping[str, Any]) -> str:
+    share = scores["within_95"]["value"]
+    return (
+        f"95 % intervals hold {100.0 * share:.0f} %; the median standard deviation is "
+        f"{scores['sd_N']:.3g} N. {scores['unmatched']} more contacts with a switch that was read "
+        "were found as two, or together with another."
+    )
 
 
 def _unseen(contacts: Mapping[str, Any]) -> str:
