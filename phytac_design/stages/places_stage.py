@@ -6,6 +6,7 @@ from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_locator import response_arrays, response_from_arrays
 from phytac_decoder.mechanics.receptor_table import ReceptorTable
+from phytac_design.design.accuracy import Accuracy
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.simulation.cramer_rao import cell_prior
 from phytac_design.simulation.pressed_series import DiscResponse, MeshPair
@@ -36,6 +37,12 @@ EXTRAPOLATED_MARKERS_MAX = 1400
 """Larger shells take more than ten seconds for that."""
 
 
+def is_extrapolated(accuracy: Accuracy, markers: int) -> bool:
+    """Whether the linear part of the tables of a sensor with some markers is extrapolated."""
+    linear = accuracy.refine == EXTRAPOLATED_REFINE and accuracy.place_orders == 1
+    return linear and markers <= EXTRAPOLATED_MARKERS_MAX
+
+
 def mesh_pair(context: Context) -> MeshPair | None:
     """Two meshes of the decoder's shell that linear motion is extrapolated from; None for others.
 
@@ -43,9 +50,7 @@ def mesh_pair(context: Context) -> MeshPair | None:
     elements are even: odd ones do not divide receptors alike. With 2 a wall may be 24 % too stiff,
     from which nothing can be extrapolated.
     """
-    accuracy, count = context.accuracy, context.markers.count
-    linear = accuracy.refine == EXTRAPOLATED_REFINE and accuracy.place_orders == 1
-    if not linear or count > EXTRAPOLATED_MARKERS_MAX:
+    if not is_extrapolated(context.accuracy, context.markers.count):
         return None
     try:
         finer, coarser = (decoder_shell(context, level)[:2] for level in EXTRAPOLATED_MESHES)

@@ -10,14 +10,15 @@ Included: the mesh, receptors, the theory, and the interpolation between tabulat
 included: noise, the estimation of place, size and number of contacts, print scatter, networks.
 """
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phytac_decoder.mechanics.response_table import FIT_PLACES, ResponseTable
-from phytac_design.design.accuracy import Accuracy
+from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.layout.arc import by_area
 from phytac_design.layout.cameras import Readers
@@ -31,9 +32,14 @@ from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.linear_response import turned_points
-from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
+from phytac_design.simulation.pressed_series import (
+    DiscResponse,
+    ExtrapolatedResponse,
+    ImageResponse,
+)
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm, rings
+from phytac_design.stages.places_stage import EXTRAPOLATED_MESHES, is_extrapolated
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError, NumericalError
@@ -80,6 +86,7 @@ class ForceError:
             lambda refine: self.powers(*self.truth_shell(refine), self.contacts.uv)[:, 0]
         )
         self.rows = cache(self._rows)
+        self.linear_rows = cache(self._linear_rows)
         self.between = cache(self._between)
 
     @cached_property
@@ -172,6 +179,21 @@ class ForceError:
         mesh, model = self.shell(refine, receptors=receptors)
         return self.powers(mesh, model, self.contacts.uv, orders=orders)
 
+    def _linear_rows(self, refine: int, *, receptors: bool, orders: int) -> FloatArray:
+        """S₁ (c, 2n) likewise, extrapolated where a build with so many orders does that."""
+        setting = replace(PRESETS["draft"], refine=refine, place_orders=orders)
+        if is_extrapolated(setting, self.sensor.markers.count):
+            with suppress(DesignError):  # no mesh of that size holds the markers
+                return self._extrapolated_rows(receptors)
+        return self.rows(refine, receptors=receptors, orders=1)[:, 0]
+
+    def _extrapolated_rows(self, receptors: bool) -> FloatArray:
+        sensor = self.sensor
+        finer, coarser = (self.shell(n, receptors=receptors) for n in EXTRAPOLATED_MESHES)
+        shell = ExtrapolatedResponse(self.design, sensor.surface, sensor.markers, (finer, coarser))
+        motions = shell.motions(self.contacts.uv, float(self.contacts.radius_mm[0]))
+        return np.stack([self.imaging.powers(one, np.zeros(0))[0] for one in motions])
+
     def _between(self, refine: int, share: float, *, receptors: bool) -> FloatArray:
         """S₁ (c, 2n) at the contacts, interpolated between tabulated places."""
         mesh, model = self.shell(refine, receptors=receptors)
@@ -230,7 +252,10 @@ class ForceError:
     def errors(self, setting: Accuracy) -> FloatArray:
         """Relative force errors (s,) of a setting on the contacts that the reference solves."""
         receptors, coarse = setting.receptors, min(setting.refine, self.pilot_refine)
-        rows = self.rows(setting.refine, receptors=receptors, orders=setting.place_orders).copy()
+        orders = setting.place_orders
+        rows = self.rows(setting.refine, receptors=receptors, orders=orders).copy()
+        if is_extrapolated(setting, self.sensor.markers.count):
+            rows[:, 0] = self.linear_rows(setting.refine, receptors=receptors, orders=orders)
         # S₁ as between the setting's tabulated places.
         exact = self.rows(coarse, receptors=receptors, orders=1)[:, 0]
         rows[:, 0] += self.between(coarse, setting.place_share, receptors=receptors) - exact

@@ -56,10 +56,10 @@ class ForcePilot:
         self.theory = cache(self._theory)
         self.tables = cache(self._tables)
 
-    def _mesh(self, refine: int, receptors: bool) -> FloatArray:
+    def _mesh(self, refine: int, receptors: bool, orders: int) -> FloatArray:
         """Estimated over true force (c,), for the mesh alone."""
-        rows = self.error.rows(refine, receptors=receptors, orders=1)
-        return fit_forces(rows, self.error.linear_reference)
+        rows = self.error.linear_rows(refine, receptors=receptors, orders=orders)
+        return fit_forces(rows[:, None], self.error.linear_reference)
 
     @cached_property
     def _large_px(self) -> FloatArray:
@@ -80,7 +80,7 @@ class ForcePilot:
         """Root mean square error of one field of the settings, everything else being ideal."""
         if name in {"refine", "receptors"}:
             refine = setting.refine if name == "refine" else self.error.pilot_refine
-            ratio = self.mesh(refine, setting.receptors)
+            ratio = self.mesh(refine, setting.receptors, setting.place_orders)
         elif name == "place_share":
             ratio = self.tables(setting.place_share)
         else:
@@ -90,7 +90,7 @@ class ForcePilot:
     def predict(self, setting: Accuracy) -> float:
         """Predicted error, with its safety factor."""
         ratio = (
-            self.mesh(setting.refine, setting.receptors)
+            self.mesh(setting.refine, setting.receptors, setting.place_orders)
             * self.theory(setting.place_orders)
             * self.tables(setting.place_share)
         )

@@ -1,6 +1,8 @@
 """The force error: exact on its own truth, falling with the mesh, predicted by the pilot."""
 
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.study.tradeoff.force import ForceError, extrapolated, fit_forces, rms
 from phytac_design.study.tradeoff.pilot import ForcePilot
+from phytac_shapes.errors import DesignError
 from tests.designs import drawn
 
 DRAFT = PRESETS["draft"]
@@ -64,10 +67,33 @@ def test_the_reference_is_met_by_a_third_mesh(error: ForceError) -> None:
 
 def test_the_pilot_predicts_the_error(error: ForceError) -> None:
     pilot = ForcePilot(error)
-    for refine, orders, share in ((2, 1, 1.2), (3, 3, 0.8), (6, 1, 0.55), (6, 3, 0.55)):
+    tried = ((2, 1, 1.2), (3, 1, 0.55), (3, 3, 0.8), (6, 1, 0.55), (6, 3, 0.55))
+    for refine, orders, share in tried:
         setting = replace(DRAFT, refine=refine, place_orders=orders, place_share=share)
         got = rms(error.errors(setting))
         assert got <= pilot.predict(setting) <= 2.0 * pilot.safety * got
+
+
+def test_tables_of_drafts_are_extrapolated_as_builds_do(error: ForceError) -> None:
+    pilot = ForcePilot(error)
+    wrong = {
+        (refine, orders): rms(pilot.mesh(refine, True, orders) - 1.0)
+        for refine in (3, 4)
+        for orders in (1, 3)
+    }
+    assert wrong[3, 1] < 0.3 * wrong[4, 1] < 0.3 * wrong[3, 3]
+    assert wrong[4, 1] == wrong[4, 3]
+    # Where no such mesh holds the markers, a build takes the plain one.
+    crowded = ForceError(error.design, count=2)
+    plain = crowded.rows(3, receptors=True, orders=1)[:, 0]
+    crowded.shell = partial(_without_mesh, crowded.shell, 6)
+    assert np.array_equal(crowded.linear_rows(3, receptors=True, orders=1), plain)
+
+
+def _without_mesh(shell: Any, missing: int, refine: int, *, receptors: bool) -> Any:
+    if refine == missing:
+        raise DesignError("mesh-markers-too-close", "no mesh holds the markers")
+    return shell(refine, receptors=receptors)
 
 
 def test_one_setting_alone(error: ForceError) -> None:
