@@ -18,6 +18,12 @@ from phytac_design.study.tradeoff.pilot import visibility_error
 from phytac_design.study.tradeoff.points import Point, Points
 
 Settings = Mapping[str, Any]
+FIXED = "views,switch,compare,pressed,report"
+CAD = "shell,step,hardware,mold,kit,inserts,printing,bench"
+MECHANICS = "mesh,response,resolution,places"
+LOAD = "underload"
+SCORE = "twin,decoder,renders,frames"
+"""Stages of a build by the group of settings that their seconds depend on: every stage once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,20 +92,20 @@ def joint_settings(points: Points, *, quick: bool = False) -> list[MeasuredSetti
         found = points.get(Point(kind=kind, name=kind, settings={"each": [dict(s) for s in each]}))
         return [float(error) for error in found["errors"]]
 
-    fixed = run("views,switch,compare,step,decoder,report", {})
-    cad = [run("shell,hardware,mold,kit,printing,bench", s) for s in groups[0]]
+    fixed = run(FIXED, {})
+    cad = [run(CAD, s) for s in groups[0]]
     force = errors("force", groups[1])
-    mechanics = [run("mesh,response,resolution,places", s) for s in groups[1]]
+    mechanics = [run(MECHANICS, s) for s in groups[1]]
     meshes = sorted({s["refine"] for s in groups[1]})
     load = {
-        (refine, k): run("underload", {"refine": refine, **s})
+        (refine, k): run(LOAD, {"refine": refine, **s})
         for refine in meshes
         for k, s in enumerate(groups[2])
         if refine >= grid.load_refine[k] or refine == meshes[-1]
     }
     finest = load[meshes[-1], len(groups[2]) - 1]["clearance"]
     truth = errors("truth", [{"truth_refine": s["truth_refine"]} for s in groups[3]])
-    score = [run("twin,frames", s) for s in groups[3]]
+    score = [run(SCORE, s) for s in groups[3]]
     out = []
     for c, m, k, s in product(*(range(len(group)) for group in groups)):
         pressed = load.get((groups[1][m]["refine"], k))

@@ -12,6 +12,7 @@ from phytac_design.cli.tradeoff_command import tradeoff as tradeoff_command
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import to_toml
 from phytac_design.design.spec import Design
+from phytac_design.stages import STAGES
 from phytac_design.study.tradeoff import points as points_module
 from phytac_design.study.tradeoff import run_tradeoff
 from phytac_design.study.tradeoff.front import (
@@ -21,7 +22,7 @@ from phytac_design.study.tradeoff.front import (
     pareto,
     setting_fronts,
 )
-from phytac_design.study.tradeoff.joint import JointGrid
+from phytac_design.study.tradeoff.joint import CAD, FIXED, LOAD, MECHANICS, SCORE, JointGrid
 from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
 from phytac_design.study.tradeoff.run_tradeoff import tradeoff
 from phytac_design.study.tradeoff.settings import QUANTITIES, SETTINGS, Setting, setting_named
@@ -67,6 +68,20 @@ def test_every_setting_of_a_build_is_read_by_a_stage() -> None:
     with refused("setting-unknown") as caught:
         setting_named("refin")
     caught.match("did you mean 'refine'")
+
+
+def test_seconds_of_a_build_are_those_of_every_stage_once() -> None:
+    groups = {"cad": CAD, "mechanics": MECHANICS, "load": LOAD, "score": SCORE}
+    named = [name for stages in (FIXED, *groups.values()) for name in stages.split(",")]
+    assert sorted(named) == sorted(stage.name for stage in STAGES)
+    # A stage is measured with the settings that it reads. Presses are, on each mesh too; of frames
+    # the powers of the force change the example alone.
+    grid, known = JointGrid(), {("mechanics", "underload"), ("mechanics", "renders")}
+    for group, stages in groups.items():
+        varied = {name for each in getattr(grid, group) for name in each}
+        for stage in STAGES:
+            if varied & {*stage.settings, stage.only_with}:
+                assert stage.name in stages.split(",") or (group, stage.name) in known
 
 
 def test_presets_are_joint_settings() -> None:
