@@ -150,15 +150,12 @@ class Claims:
         return interval_coverage(self.force_N, self.sd_N, self.truth_N, level=0.9)
 
 
-def claims_of(
-    found: Sequence[ContactDetection | None], samples: Samples, decoded: DecodedContacts
-) -> Claims:
+def claims_of(found: Sequence[ContactDetection | None], samples: Samples) -> Claims:
     """Match what was found to what was pressed: by switches, and where there is none by place."""
     touches, truth = samples.touches, samples.truth
     assert touches is not None
     assert truth is not None
     assert samples.bits_read is not None
-    real = dict(zip(decoded.touch.tolist(), decoded.force_N.tolist(), strict=True))
     first = np.searchsorted(truth.sample, np.arange(samples.count + 1))
     start = np.searchsorted(touches.sample, np.arange(samples.count + 1))
     tripped = np.isin(np.arange(len(touches.sample)), truth.touch)
@@ -190,7 +187,7 @@ def claims_of(
         touch=touch,
         force_N=np.array([row[1] for row in rows]),
         sd_N=np.array([row[2] for row in rows]),
-        truth_N=np.array([real[t] for t in touch.tolist()]),
+        truth_N=touches.force_N[touch],
         unmatched=unmatched,
         pressed_silent=int(silent[0]),
         found_silent=int(silent[1]),
@@ -334,6 +331,6 @@ def evaluate_decoder(
         decoded=decoded,
         groups=groups_of([data], samples, decoded, where),
         found=found,
-        claims=claims_of(found, samples, decoded),
+        claims=claims_of(found, samples),
         context=context,
     )

@@ -244,7 +244,7 @@ def test_bound_is_the_designs_own_and_grows_with_company(judged: Evaluation) -> 
 
 def test_claims_are_matched_by_switch_and_by_place(judged: Evaluation) -> None:
     """Found well, outside its interval, by nobody, with another; and one that is not there."""
-    samples, decoded = judged.data.samples, judged.decoded
+    samples = judged.data.samples
     touches, truth = samples.touches, samples.truth
     assert touches is not None
     assert truth is not None
@@ -260,7 +260,7 @@ def test_claims_are_matched_by_switch_and_by_place(judged: Evaluation) -> None:
             contacts.append(at(touches.point_mm[touch], markers, force + 1.6 * (-1.0) ** read))
             read += 1
         found[sample] = found_of(*contacts, shift_px=shift)
-    fair = claims_of(found, samples, decoded)
+    fair = claims_of(found, samples)
     assert len(fair.touch) == read
     assert fair.unmatched == 0
     assert fair.covered == 1.0
@@ -272,23 +272,23 @@ def test_claims_are_matched_by_switch_and_by_place(judged: Evaluation) -> None:
 
     far = replace(one, force_N=one.force_N + 100.0)
     moved = replace(first, contacts=[far, *first.contacts[1:]])
-    assert claims_of(but(moved), samples, decoded).covered == pytest.approx(1 - 1 / read)
+    assert claims_of(but(moved), samples).covered == pytest.approx(1 - 1 / read)
     # Its switches claimed by nobody; and one by motion alone, far from all.
     nobody = at(np.array([0.0, 0.0, 1e3]), [], 3.0)
     lost = replace(first, contacts=[*first.contacts[1:], nobody])
-    claims = claims_of(but(lost), samples, decoded)
+    claims = claims_of(but(lost), samples)
     assert claims.unmatched == 1
     assert claims.nothing_N.tolist() == [3.0]
     assert claims.nothing_mm[0] > 100.0
     assert (claims.claimed_silent, claims.found_silent) == (1, 0)
     merged = replace(one, markers=np.concatenate([c.markers for c in first.contacts]))
-    together = claims_of(but(replace(first, contacts=[merged])), samples, decoded)
+    together = claims_of(but(replace(first, contacts=[merged])), samples)
     assert together.unmatched == len(first.contacts)
 
 
 def test_contacts_found_by_motion_alone_count_where_one_was_pressed(judged: Evaluation) -> None:
     """A contact whose switches are struck out of the truth counts as found where it was pressed."""
-    samples, decoded = judged.data.samples, judged.decoded
+    samples = judged.data.samples
     assert samples.touches is not None
     assert samples.truth is not None
     truth = samples.truth
@@ -307,7 +307,7 @@ def test_contacts_found_by_motion_alone_count_where_one_was_pressed(judged: Eval
     found[several] = found_of(
         at(aside, [], 2.0), at(point[stays] + 9.0, [], 5.0), shift_px=np.zeros(2 * samples.markers)
     )
-    claims = claims_of(found, without, decoded)
+    claims = claims_of(found, without)
     assert (claims.pressed_silent, claims.found_silent, claims.claimed_silent) == (1, 1, 2)
     assert claims.nothing_N.tolist() == [5.0]
 

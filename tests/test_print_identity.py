@@ -1,11 +1,13 @@
 """A trained decoder knows the print that it was trained on, and reads others as unknown ones."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.force_correction import ForceCorrection
@@ -17,6 +19,7 @@ from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame
 from phytac_decoder.pipeline.frame_reading import read
 from phytac_decoder.pipeline.print_identity import SETTINGS, for_this_print, print_gap_mm
+from phytac_design.cli.app import app
 from phytac_design.datasets.samples import DataSetInfo, rest_note
 from phytac_design.datasets.samples_file import read_samples, write_samples
 from phytac_design.engine.stage import Context
@@ -201,6 +204,26 @@ def test_training_keeps_the_print_and_evaluation_names_another(
     assert not [text for text in said if "another print" in text]
     judge("two", 2, 2)
     assert [text for text in said if "another print" in text]
+
+
+def test_evaluation_judges_standard_deviations(
+    plain: Bundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("phytac_design.workflows.evaluate_decoder.draw", lambda *_: {})
+    save_bundle(replace(plain, design_hash=HASH), tmp_path / "decoder")
+    uv = make_markers(DESIGN, DESIGN.surface()).uv
+    samples = presses(plain.model, uv, count=30, seed=0, noise_px=0.01)
+    write_samples(tmp_path / "data", samples, meta_of("tiny", HASH))
+    said = CliRunner().invoke(app, ["evaluate", str(tmp_path / "decoder"), str(tmp_path / "data")])
+    assert said.exit_code == 0
+    out = tmp_path / "decoder-evaluation"
+    intervals = json.loads((out / "evaluation.json").read_text())["intervals"]
+    assert intervals["contacts"] > 10
+    (line,) = [text for text in said.stdout.splitlines() if "90 % intervals of auto" in text]
+    assert f"% of {intervals['contacts']} true forces" in line
+    tables = (out / "tables.md").read_text()
+    assert f"## Standard deviations\n\n{line}.\n" in tables
+    assert f"{intervals['unmatched']} contacts with a switch that was read have no match" in tables
 
 
 def test_what_is_no_rest_position_is_refused() -> None:

@@ -51,7 +51,8 @@ def parse_design(data: dict[str, Any], where: str, *, folder: Path = Path()) -> 
     Paths of files that the design names (positions, camera calibration) are relative to
     ``folder``; their contents become part of the design.
     """
-    if "shape" not in data and data.keys() & {"variable", "objective"}:
+    tables = data.keys() if isinstance(data, dict) else set()
+    if "shape" not in tables and tables & {"variable", "objective"}:
         raise DesignError(
             "field-invalid",
             f"{where} is a study, not a design: run it with `phytac optimise` or `phytac sweep`",

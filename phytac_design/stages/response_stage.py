@@ -154,7 +154,8 @@ def frame_contacts(context: Context) -> tuple[Contacts, Switching]:
 def run_twin(context: Context, folder: Path) -> None:
     """Draw contacts, solve them on the finer mesh, project and add noise.
 
-    The contacts of rendered frames are solved with them: that mesh is factored once.
+    The contacts of rendered frames are solved with them, whether or not frames are wanted: on that
+    mesh the factor is what takes time.
     """
     design = context.design
     rng = np.random.default_rng([context.seed, 1])

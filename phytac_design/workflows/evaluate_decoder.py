@@ -142,7 +142,7 @@ def evaluate(
                 },
                 **counts(sets, samples, decoded),
                 "estimators": scores(decoded, groups, seed),
-                "intervals": interval_scores(decoded),
+                "intervals": interval_scores(decoded, seed),
             }
         )
         kind = kinds(sets, samples, decoded)

@@ -258,7 +258,8 @@ def how_of(name: str, resolved: Resolved, counts: Counts) -> str:
         "response": f"{played}, {counts.nodes} nodes, {counts.response_loads} loads{sector}",
         "places": f"{counts.places} places, {counts.place_solves} solved, {powers} of the force, "
         f"{counts.nodes} nodes",
-        "twin": f"{counts.contacts} contacts, {counts.twin_loads} loads, {counts.truth_nodes} "
+        "twin": f"{counts.contacts} contacts and those of {counts.frames} frames, "
+        f"{counts.twin_loads} loads, {counts.truth_nodes} "
         f"nodes{local}",
         "decoder": f"{played}, {networks}, {scene.estimator}",
         "renders": frames,

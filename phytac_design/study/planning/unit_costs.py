@@ -59,8 +59,9 @@ CPU_s: dict[str, dict[str, float]] = {
 """Processor seconds of a stage in its own process; from builds of shipped designs and scenes.
 
 ``renders`` and ``frames`` are from builds of four shipped designs, 5 to 20 frames of 5 megapixels,
-on one thread. ``pressed`` and ``report``, of which it was a part, are from drafts of ``cylinder60``
-and ``cylinder60-dense``; its memory is the report's."""
+on one thread; then ``renders`` solved contacts that ``twin`` solves now. ``pressed`` and
+``report``, of which it was a part, are from drafts of ``cylinder60`` and ``cylinder60-dense``;
+its memory is the report's."""
 MEMORY_MB: dict[str, dict[str, float]] = {
     "bench": {"markers": 15.0, "one": 514.0},
     "compare": {"one": 227.3, "pixels": 73.01},

@@ -33,9 +33,10 @@ class DecodedContacts:
         Samples that did not fail.
     elsewhere_N : dict of (j,) float
         By estimator: decoded force on receptors without a contact, per evaluated sample.
-    stated : (m, 3) float
-        Row in the samples' touches, force and standard deviation of each contact that ``auto``
-        found alone: not as two, nor together with another.
+    stated : (m, 4) float
+        Of each contact that ``auto`` found alone, not as two, nor together with another: row in the
+        samples' touches, found force, its standard deviation, and the contact's own true force,
+        which is not that on its switches where it shares one.
     missed, on, false, off : int
         Number of switches that were on but not read, on, read but not on, and off.
     """
@@ -116,19 +117,25 @@ def decode_contacts(
     was_read = read[truth.sample, truth.marker].astype(np.float64)
     keep = np.flatnonzero(usable[touches.sample])
     decoded, elsewhere = {}, {}
-    stated: list[tuple[float, float, float]] = []
-    start = np.searchsorted(truth.sample[row], np.arange(samples.count + 1))
+    stated: list[tuple[float, float, float, float]] = []
+    start, marker = (
+        np.searchsorted(truth.sample[row], np.arange(samples.count + 1)),
+        truth.marker[row],
+    )
     for name in estimators if estimators is not None else model.estimators:
         progress(name)
         forces = np.zeros(bits.shape)
         for k in evaluated.tolist():
             koi = np.flatnonzero(read[k])
-            if name == "auto" and len(koi):
+            # As in ForceModel.forces: without either there is nothing to find.
+            if name == "auto" and (len(koi) or (model.locator and len(model.locator.blind))):
                 found = model.contacts(shift[k], koi)
                 forces[k] = found.receptor_forces_N(samples.markers)
                 own = slice(start[k], start[k + 1])
-                pairs = matches_by_switch(found, truth.marker[row][own], owner[own])
-                stated += [(touch, contact.force_N, contact.sd_N) for touch, contact in pairs]
+                stated += [
+                    (touch, contact.force_N, contact.sd_N, touches.force_N[touch])
+                    for touch, contact in matches_by_switch(found, marker[own], owner[own])
+                ]
             else:
                 forces[k] = model.forces(name, shift[k], koi)
         if not np.isfinite(forces).all():
@@ -155,9 +162,22 @@ def decode_contacts(
         decoded_N=decoded,
         evaluated=evaluated,
         elsewhere_N=elsewhere,
-        stated=np.array(stated).reshape(-1, 3),
+        stated=_checked(np.array(stated).reshape(-1, 4)),
         missed=int((seen_on & ~seen_read).sum()),
         on=int(seen_on.sum()),
         false=int((~seen_on & seen_read).sum()),
         off=int((~seen_on).sum()),
     )
+
+
+def _checked(stated: FloatArray) -> FloatArray:
+    """The same, if all standard deviations are positive numbers."""
+    sd = stated[:, 2]
+    wrong = np.flatnonzero(~(np.isfinite(sd) & (sd > 0.0)))
+    if len(wrong):
+        raise NumericalError(
+            "estimator-not-finite",
+            f"estimator auto gives a standard deviation of {sd[wrong[0]]:g} N for contact "
+            f"{stated[wrong[0], 0]:.0f}; train it again, or leave that sample out",
+        )
+    return stated

@@ -113,8 +113,8 @@ def _matched_text(scores: Mapping[str, Any]) -> str:
     share = scores["within_95"]["value"]
     return (
         f"95 % intervals hold {100.0 * share:.0f} %; the median standard deviation is "
-        f"{scores['sd_N']:.3g} N. {scores['unmatched']} more contacts with a switch that was read "
-        "were found as two, or together with another."
+        f"{scores['sd_N']:.3g} N. {scores['unmatched']} contacts with a switch that was read have "
+        "no match: not found, found as two, or together with another."
     )
 
 
