@@ -126,6 +126,9 @@ def test_distance_to_an_edge_is_in_space() -> None:
     chord = 40.0 * np.sin(uv[:, 0] / 20.0 / 2.0)
     found = [edge_distance_mm(surface, uv[k : k + 1], 0, 0)[0] for k in range(3)]
     assert found == pytest.approx(chord, abs=1e-9)
+    near = edge_distance_mm(surface, uv, 0, 0, within_mm=float(chord[1]))
+    assert near[1:] == pytest.approx(chord[1:], abs=1e-9)
+    assert near[0] == pytest.approx(chord[0], abs=1e-3)
     # A corner of a patch: the nearest point is the edge's own end.
     sheet = designed("plane", "straight").surface()
     assert edge_distance_mm(sheet, np.array([[30.0, 40.0]]), 1, 1)[0] == pytest.approx(0.0)

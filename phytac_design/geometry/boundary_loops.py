@@ -65,24 +65,31 @@ def conormals(surface: Surface, uv: FloatArray, axis: int, end: int) -> FloatArr
     return np.asarray(out if end == 1 else -out)
 
 
-def edge_distance_mm(surface: Surface, uv: FloatArray, axis: int, end: int) -> FloatArray:
+def edge_distance_mm(
+    surface: Surface, uv: FloatArray, axis: int, end: int, *, within_mm: float = np.inf
+) -> FloatArray:
     """Distance in space (n,) from points of the outer face to its edge (axis, end), mm.
 
-    From the nearest of many stations, by Gauss-Newton along the edge.
+    From the nearest of many stations, by Gauss-Newton along the edge. Distances beyond
+    ``within_mm`` are those from the stations: a little too large.
     """
     stations, iterations = 1025, 5
     low, high = surface.domain[1 - axis]
     points = surface.point(uv)
     foot = np.full((stations, 2), surface.domain[axis, end])
     foot[:, 1 - axis] = np.linspace(low, high, stations)
-    best, nearest = cKDTree(surface.point(foot)).query(points)
-    foot = foot[nearest]
-    for _ in range(iterations):
+    edge = surface.point(foot)
+    best, nearest = cKDTree(edge).query(points)
+    spacing = float(np.linalg.norm(np.diff(edge, axis=0), axis=1).max())
+    near = best <= within_mm + spacing
+    points, foot = points[near], foot[nearest[near]]
+    for _ in range(iterations if near.any() else 0):
         along, arm = surface.tangents(foot)[:, 1 - axis], points - surface.point(foot)
         foot[:, 1 - axis] += np.sum(arm * along, axis=1) / np.sum(along**2, axis=1)
         if not surface.periodic[1 - axis]:
             foot[:, 1 - axis] = np.clip(foot[:, 1 - axis], low, high)
-    return np.asarray(np.minimum(best, np.linalg.norm(points - surface.point(foot), axis=1)))
+    best[near] = np.minimum(best[near], np.linalg.norm(points - surface.point(foot), axis=1))
+    return np.asarray(best)
 
 
 def check_topology(surface: Surface) -> None:

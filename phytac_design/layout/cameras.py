@@ -1,12 +1,13 @@
 """The design's cameras, and checks that they can work."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import NoReturn
 
 import numpy as np
 
-from phytac_decoder.camera.camera import Camera, fit_distance_mm
+from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_design.design.safe_rounding import at_least
 from phytac_design.design.spec import Design
@@ -180,6 +181,55 @@ def fit_stand_off_mm(
         If no distance does.
     """
     return _fitted(lens, np.asarray(rim, dtype=np.float64).tobytes(), end, start_mm, fill)
+
+
+def fit_distance_mm(
+    lens: Lens, reach: Callable[[float], FloatArray], *, fill: float, least_mm: float
+) -> float:
+    """Least camera distance at which all points project within ``fill`` of half the smaller side.
+
+    Parameters
+    ----------
+    reach : callable
+        Points (n, 3) in the camera frame, given the distance of the camera.
+    fill : float
+        Largest distance of a point's image from the principal point, as a share of half the
+        smaller image side.
+    least_mm : float
+        Smallest distance to try; the result if the points fit even there.
+
+    Raises
+    ------
+    DesignError
+        If no distance up to a million times ``least_mm`` does.
+    """
+    from scipy.optimize import brentq
+
+    half = min(lens.width_px, lens.height_px) / 2.0 * fill
+    if not (least_mm > 0.0 and half > 0.0):
+        raise DesignError(
+            "camera-fit-size-invalid",
+            f"camera fit needs positive sizes (got a least distance of {least_mm} mm, an image of "
+            f"{lens.width_px} x {lens.height_px} px, fill {fill})",
+        )
+
+    def beyond(distance: float) -> float:
+        away = np.linalg.norm(lens.project(reach(distance)) - lens.centre_px, axis=1)
+        return float(np.nan_to_num(away, nan=100.0 * half).max()) - half
+
+    low, high = least_mm, least_mm
+    while beyond(high) > 0.0:
+        low, high = high, 4.0 * high
+        if high > 1e6 * least_mm:
+            raise DesignError(
+                "camera-fit-unreachable",
+                f"no camera distance up to {high:.3g} mm brings the near edge into {fill:g} of the "
+                "image; check the lens's focal length and distortion",
+            )
+    if low == high:
+        return least_mm
+    # Far enough beyond the root that the points fit, whichever side of it was found.
+    return (1.0 + 1e-12) * float(brentq(beyond, low, high, xtol=1e-13 * high, maxiter=1000))
 
 
 @lru_cache(maxsize=32)

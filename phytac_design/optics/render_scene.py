@@ -189,6 +189,7 @@ def build_scene(
     switch_on: BoolArray | None = None,
     marks: bool = True,
     wall_cell_mm: float = np.inf,
+    hollow: bool = True,
 ) -> RenderScene:
     """Shell, rims, light bar, fixtures, reference marks and all receptors as triangles.
 
@@ -203,6 +204,8 @@ def build_scene(
         Whether reference marks are painted.
     wall_cell_mm : float
         Longest side of the inner face's cells, where it is to move (:mod:`.pressed_scene`).
+    hollow : bool
+        Whether receptors have the inside of their holes; a flat end hides as much behind it.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     on = np.zeros(markers.count, dtype=bool) if switch_on is None else np.asarray(switch_on)
@@ -222,7 +225,7 @@ def build_scene(
     ]
     sides = sides_of(design.receptor.diameter_tube_mm / 2.0, tolerance)
     groups = [
-        _receptors(design, markers, on, np.flatnonzero(sides == value), int(value))
+        _receptors(design, markers, on, np.flatnonzero(sides == value), int(value), hollow)
         for value in np.unique(sides)
     ]
     codes = [np.full(len(mesh.triangles), code, dtype=np.int32) for mesh, code in fixed]
@@ -249,7 +252,7 @@ def build_scene(
 
 
 def _receptors(
-    design: Design, markers: Markers, on: BoolArray, chosen: IntArray, sides: int
+    design: Design, markers: Markers, on: BoolArray, chosen: IntArray, sides: int, hollow: bool
 ) -> tuple[TriangleMesh, NDArray[np.int32], NDArray[np.int32]]:
     """Chosen receptors: mesh, part of each triangle, owner of each vertex; marker after marker."""
     tip, normal = markers.tip_mm[chosen], markers.normal[chosen]
@@ -258,6 +261,10 @@ def _receptors(
     sine = np.linalg.norm(np.cross(axis, normal), axis=1)
     slope = sine / np.maximum(np.abs(np.sum(axis * normal, axis=1)), 1e-12)
     radius, depth = _profile(design, markers.height_mm[chosen], on[chosen], slope)
+    foot = depth.shape[1] - 9  # 1 more ring where the tube is wider than the marker
+    if not hollow:
+        radius, depth = radius[:, : foot + 5], depth[:, : foot + 5]
+        radius[:, -1], depth[:, -1] = 0.0, depth[:, -2]
     n, rings = depth.shape
     across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -268,10 +275,11 @@ def _receptors(
     vertices = centre[:, :, None] + radius[:, :, None, None] * around[:, None]  # (n, ring, side)
     # Strips between two rings; the code is added to twice the marker id where it is a marker's.
     paint, red = FIRST_MARKER, FIRST_MARKER + 1
-    foot = rings - 9  # 1 more ring where the tube is wider than the marker
     strips = [(k, k + 1, RESIN) for k in range(foot + 1)]
     strips += [(foot + 1, foot + 2, paint), (foot + 2, foot + 3, paint)]
-    if design.has_switches:
+    if not hollow:
+        strips.append((foot + 3, foot + 4, RESIN))
+    elif design.has_switches:
         inside = ((3, 4, RESIN), (4, 5, RESIN), (6, 7, red), (7, 8, red))
         strips += [(foot + low, foot + high, value) for low, high, value in inside]
     here, step = np.arange(sides), (np.arange(sides) + 1) % sides

@@ -17,7 +17,7 @@ from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.raster import marker_windows, pieces_by_marker, project_scene
 from phytac_design.optics.rays import pixel_rays
 from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene
-from phytac_design.optics.zbuffer import View, fill, meets, outline, reach
+from phytac_design.optics.zbuffer import Point, View, corner, fill, meets, outline, reach
 from phytac_shapes.arrays import FloatArray, IntArray
 
 
@@ -51,7 +51,7 @@ def sampled_fraction(scene: RenderScene, camera: Camera, *, rays: int = 64) -> S
         directions = _directions(camera, grids, int(first[-1]))
     # Pieces that are looked at together: chunks of the fixed parts, then each receptor.
     bounds = np.concatenate([np.arange(0, starts[0], chunk), starts])
-    boxes = np.empty((len(bounds) - 1, 4))
+    boxes = np.empty((len(bounds) - 1, 5))
 
     def measure(low: int, high: int) -> None:
         _boxes(view, chosen, bounds[low : high + 1], boxes[low:high])
@@ -114,14 +114,32 @@ def _directions(camera: Camera, grids: IntArray, count: int) -> FloatArray:
 
 
 @kernel
+def _nearest(view: View, piece: int) -> float:
+    """Upper bound of the inverse depth of a piece's pixels, as :func:`fill` measures it, 1/mm."""
+    p, q, r = corner(view, piece, 0), corner(view, piece, 1), corner(view, piece, 2)
+    if view.rays.shape[0] == 0:
+        return 1.0 / min(p[2], q[2], r[2])
+    # No point of a triangle is farther from a corner than the other two are.
+    far = max(_distance(p, q), _distance(p, r))
+    least = _distance(p, (0.0, 0.0, 0.0)) - far
+    return 1.0 / least if least > 0.0 else np.inf
+
+
+@kernel
+def _distance(p: Point, q: Point) -> float:
+    return float(np.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2))
+
+
+@kernel
 def _boxes(view: View, chosen: NDArray[np.int32], bounds: IntArray, boxes: FloatArray) -> None:
-    """Boxes (g, 4) px of groups of pieces."""
+    """Boxes px of groups of pieces, and their greatest inverse depth, (g, 5)."""
     for g in range(len(boxes)):
-        x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+        x0, y0, x1, y1, near = np.inf, np.inf, -np.inf, -np.inf, 0.0
         for piece in chosen[bounds[g] : bounds[g + 1]]:
             a, b, c, d = reach(view, piece)
             x0, y0, x1, y1 = min(x0, a), min(y0, b), max(x1, c), max(y1, d)
-        boxes[g, 0], boxes[g, 1], boxes[g, 2], boxes[g, 3] = x0, y0, x1, y1
+            near = max(near, _nearest(view, piece))
+        boxes[g, 0], boxes[g, 1], boxes[g, 2], boxes[g, 3], boxes[g, 4] = x0, y0, x1, y1, near
 
 
 @kernel
@@ -131,24 +149,48 @@ def _gather(
     bounds: IntArray,
     boxes: FloatArray,
     grid: IntArray,
+    farthest: float,
     own: int,
     near: NDArray[np.int32],
 ) -> int:
-    """Write the pieces outside of group ``own`` that reach a grid into ``near``; how many."""
+    """Write the pieces outside of group ``own`` that reach a grid into ``near``; how many.
+
+    Without those that lie behind the inverse depth ``farthest``: they hide nothing before it.
+    """
     left, top, step, columns, rows = grid
     count = 0
     for group in range(len(boxes)):
-        x0, y0, x1, y1 = boxes[group]
-        if group == own or not (
-            meets(x0, x1, left, step, columns) and meets(y0, y1, top, step, rows)
+        x0, y0, x1, y1, nearest = boxes[group]
+        if (
+            group == own
+            or nearest < farthest
+            or not (meets(x0, x1, left, step, columns) and meets(y0, y1, top, step, rows))
         ):
             continue
         for piece in chosen[bounds[group] : bounds[group + 1]]:
             x0, y0, x1, y1 = reach(view, piece)
-            if meets(x0, x1, left, step, columns) and meets(y0, y1, top, step, rows):
+            if (
+                meets(x0, x1, left, step, columns)
+                and meets(y0, y1, top, step, rows)
+                and _nearest(view, piece) >= farthest
+            ):
                 near[count] = piece
                 count += 1
     return count
+
+
+@kernel
+def _farthest(
+    owner: NDArray[np.int32], inverse: FloatArray, codes: NDArray[np.int32], paint: int
+) -> float:
+    """Least inverse depth of a grid's pixels that show a paint; inf if none does."""
+    least = np.inf
+    for row in range(owner.shape[0]):
+        for column in range(owner.shape[1]):
+            t = owner[row, column]
+            if t >= 0 and codes[t] == paint:
+                least = min(least, inverse[row, column])
+    return least
 
 
 @kernel
@@ -183,7 +225,8 @@ def _count(
         alone = np.full((rows, columns), -1, dtype=np.int32)
         depth = np.zeros((rows, columns))
         fill(here, chosen[bounds[own] : bounds[own + 1]], grid, alone, depth)
-        found = _gather(view, chosen, bounds, boxes, grids[i], own, near)
+        farthest = _farthest(alone, depth, codes, paint)
+        found = _gather(view, chosen, bounds, boxes, grids[i], farthest, own, near)
         other = np.full((rows, columns), -1, dtype=np.int32)
         front = np.zeros((rows, columns))
         # In the scene's order: of equal depths the first wins, as in the full image.

@@ -19,7 +19,8 @@ def check_ends(sensor: Sensor) -> None:
         foot = switch.footprint_diameter_mm / 2.0
         sizes.append(("switch footprint", "switch.footprint_diameter_mm", foot))
     for axis, end in surface.edges():
-        distance = edge_distance_mm(surface, markers.uv, axis, end)
+        widest = max(radius for _, _, radius in sizes)
+        distance = edge_distance_mm(surface, markers.uv, axis, end, within_mm=widest)
         # Of markers equally near but for rounding the first is named.
         worst = int(np.argmin(np.round(distance, 9)))
         for what, field, radius in sizes:

@@ -19,10 +19,14 @@ class Line:
     start: tuple[float, float]
     end: tuple[float, float]
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Length, mm."""
         return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
+
+    @cached_property
+    def _heading(self) -> FloatArray:
+        return np.asarray(np.subtract(self.end, self.start) / self.length)
 
     @property
     def curvature(self) -> float:
@@ -31,14 +35,13 @@ class Line:
 
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points and headings (n, 2) at distances s (n,) from the start."""
-        start, end = np.array(self.start), np.array(self.end)
-        heading = (end - start) / self.length
-        return start + s[:, None] * heading, np.broadcast_to(heading, (len(s), 2))
+        heading = np.empty((len(s), 2))
+        heading[:] = self._heading
+        return self.start + s[:, None] * self._heading, heading
 
     def foot(self, points: FloatArray) -> FloatArray:
         """Distance from the start (n,) of the foot of each point (n, 2); not clamped."""
-        start, end = np.array(self.start), np.array(self.end)
-        return np.asarray((points - start) @ ((end - start) / self.length))
+        return np.asarray((points - self.start) @ self._heading)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +121,8 @@ class Path:
 
     def curvature(self, s: FloatArray) -> FloatArray:
         """Curvature (n,), 1/mm, positive where convex outward."""
+        if len(self.parts) == 1:
+            return np.full(len(s), self.parts[0].curvature)
         s = np.mod(s, self.length) if self.closed else np.asarray(s)
         return np.array([part.curvature for part in self.parts])[self._part(s)]
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from phytac_decoder.camera.camera import Camera, fit_distance_mm
+from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import (
     LENSES,
     BrownConrady,
@@ -201,30 +201,6 @@ def test_a_lens_of_179_degrees_and_one_of_twice_that() -> None:
 def test_impossible_lenses_are_rejected(model: str, change: dict[str, Any], code: str) -> None:
     with refused(code):
         LENSES[model](**{**SIZE, **change})
-
-
-def test_fit_is_the_least_distance() -> None:
-    ring = 29.2 * direction(np.pi / 2.0, np.linspace(0.0, 6.2, 100))
-    mild = BrownConrady(**SIZE, distortion=(-0.05, 0.01, 0.0, 0.0))
-    for lens in (LENS["pinhole"], mild, LENS["fisheye"], LENS["omni"]):
-
-        def away(distance: float, lens: Lens = lens) -> float:
-            off = lens.project(ring + np.array([0.0, 0.0, distance])) - lens.centre_px
-            return float(np.linalg.norm(off, axis=1).max())
-
-        best = fit_distance_mm(
-            lens, lambda d: ring + np.array([0.0, 0.0, d]), fill=0.6, least_mm=0.1
-        )
-        assert away(best) == pytest.approx(0.6 * 972.0, rel=1e-9)
-        assert not away(best * (1.0 - 1e-6)) <= 0.6 * 972.0
-    # A lens whose field ends before that decides itself how near it may come.
-    barrel = LENS["barrel"]
-    best = fit_distance_mm(barrel, lambda d: ring + np.array([0, 0, d]), fill=1.3, least_mm=0.1)
-    assert np.arctan(29.2 / best) == pytest.approx(barrel.field_rad, rel=1e-6)
-    with refused("camera-fit-size-invalid"):
-        fit_distance_mm(LENS["pinhole"], lambda d: ring + d, fill=0.9, least_mm=0.0)
-    with refused("camera-fit-unreachable"):
-        fit_distance_mm(LENS["pinhole"], lambda d: ring * d, fill=0.9, least_mm=1.0)
 
 
 def test_a_camera_that_looks_back() -> None:

@@ -33,10 +33,11 @@ class Bench:
         self.markers = make_markers(design, self.surface)
         self.camera = camera_of(design, self.surface)
 
-    def scene(self, switch_on: BoolArray | None = None) -> RenderScene:
+    def scene(self, switch_on: BoolArray | None = None, *, hollow: bool = True) -> RenderScene:
         """Scene at rest."""
         return build_scene(
             Sensor.of(self.design, self.surface, self.markers),
             tolerance_mm=tolerance_mm(self.camera, self.markers),
             switch_on=switch_on,
+            hollow=hollow,
         )

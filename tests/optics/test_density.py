@@ -30,9 +30,21 @@ def test_cells_share_the_whole_area(name: str) -> None:
 def test_cells_of_a_square_grid_are_its_bands() -> None:
     design = designed("plane", "straight", rows=6, columns=8)
     surface = design.surface()
-    local = density_map(surface, make_markers(design, surface))
-    assert local.cell_cm2 == pytest.approx(1.0, rel=0.07)  # pieces on borders
-    assert local.per_cm2 == pytest.approx(1.0, rel=0.04)
+    for cells, near in ((20_000, 0.002), (2000, 0.02)):
+        local = density_map(surface, make_markers(design, surface), cells=cells)
+        assert local.cell_cm2 == pytest.approx(1.0, rel=near)
+        assert local.per_cm2 == pytest.approx(1.0, rel=near / 3.0)
+
+
+def test_few_cells_a_marker_give_the_least_density_of_many() -> None:
+    design = load_design("cylinder60")
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    few, many = (
+        density_of(surface, markers, cells=cells).local_min_per_cm2
+        for cells in (0, 400 * markers.count)
+    )
+    assert few == pytest.approx(many, rel=0.02)
 
 
 def test_local_density_follows_the_row_pitch() -> None:

@@ -1,4 +1,4 @@
-"""``stand_off_mm = "fit"`` for lenses that see nearly, or more than, half of all directions."""
+"""``stand_off_mm = "fit"``: the least distance, also for lenses that look sideways or back."""
 
 from dataclasses import replace
 
@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.camera.lens import LENSES, Lens
-from phytac_design.layout.cameras import fit_stand_off_mm
+from phytac_decoder.camera.lens import LENSES, BrownConrady, Lens
+from phytac_design.layout.cameras import fit_distance_mm, fit_stand_off_mm
 from phytac_shapes.arrays import FloatArray
+from tests.decoder.test_lens import LENS, SIZE, direction
+from tests.refusals import refused
 
 RADIUS_MM, FILL, HALF_PX = 29.2, 0.975, 324.0
 TURN = np.linspace(0.0, 2.0 * np.pi, 65)
@@ -51,3 +53,27 @@ def test_a_lens_that_looks_back_stands_a_little_before_the_rim(name: str, field_
     stand_off = fit_stand_off_mm(lens, RIM, end=0, start_mm=0.0, fill=FILL)
     assert stand_off == pytest.approx(0.05 * RADIUS_MM)
     assert reach_of(lens, 1e-3 * RADIUS_MM).max() < FILL * HALF_PX
+
+
+def test_fit_is_the_least_distance() -> None:
+    ring = 29.2 * direction(np.pi / 2.0, np.linspace(0.0, 6.2, 100))
+    mild = BrownConrady(**SIZE, distortion=(-0.05, 0.01, 0.0, 0.0))
+    for lens in (LENS["pinhole"], mild, LENS["fisheye"], LENS["omni"]):
+
+        def away(distance: float, lens: Lens = lens) -> float:
+            off = lens.project(ring + np.array([0.0, 0.0, distance])) - lens.centre_px
+            return float(np.linalg.norm(off, axis=1).max())
+
+        best = fit_distance_mm(
+            lens, lambda d: ring + np.array([0.0, 0.0, d]), fill=0.6, least_mm=0.1
+        )
+        assert away(best) == pytest.approx(0.6 * 972.0, rel=1e-9)
+        assert not away(best * (1.0 - 1e-6)) <= 0.6 * 972.0
+    # A lens whose field ends before that decides itself how near it may come.
+    barrel = LENS["barrel"]
+    best = fit_distance_mm(barrel, lambda d: ring + np.array([0, 0, d]), fill=1.3, least_mm=0.1)
+    assert np.arctan(29.2 / best) == pytest.approx(barrel.field_rad, rel=1e-6)
+    with refused("camera-fit-size-invalid"):
+        fit_distance_mm(LENS["pinhole"], lambda d: ring + d, fill=0.9, least_mm=0.0)
+    with refused("camera-fit-unreachable"):
+        fit_distance_mm(LENS["pinhole"], lambda d: ring * d, fill=0.9, least_mm=1.0)

@@ -97,6 +97,16 @@ def test_half_hidden_markers_of_the_full_picture(wide: dict[str, Any]) -> None:
     assert few.alone.sum() < 0.5 * alone.sum()
 
 
+@pytest.mark.parametrize("receptor", [{}, {"colouring": "insert"}])
+def test_flat_ends_hide_what_holes_hide(receptor: dict[str, Any]) -> None:
+    case = Bench(make_design(layout={"kind": "straight"}, receptor=receptor))
+    holes, flat = case.scene(), case.scene(hollow=False)
+    assert len(flat.triangles) < 0.7 * len(holes.triangles)
+    few, fewer = (sampled_fraction(scene, case.camera) for scene in (holes, flat))
+    np.testing.assert_array_equal(fewer.alone, few.alone)
+    np.testing.assert_array_equal(fewer.visible, few.visible)
+
+
 def test_a_dome() -> None:
     case = Bench(load_design("hemisphere"))
     scene = case.scene()

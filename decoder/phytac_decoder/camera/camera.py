@@ -1,13 +1,12 @@
 """A camera: a lens and a pose, shared by the design tool and the decoder."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import DesignError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,51 +105,3 @@ def pinhole(*, width_px: int, height_px: int, focal_px: float) -> Pinhole:
 def stack_views(cameras: Sequence[Camera], points_mm: FloatArray) -> FloatArray:
     """Jacobians of all cameras over the same points, (n, 2 cameras, 3) px/mm."""
     return np.concatenate([camera.jacobian(points_mm) for camera in cameras], axis=1)
-
-
-def fit_distance_mm(
-    lens: Lens, reach: Callable[[float], FloatArray], *, fill: float, least_mm: float
-) -> float:
-    """Least camera distance at which all points project within ``fill`` of half the smaller side.
-
-    Parameters
-    ----------
-    reach : callable
-        Points (n, 3) in the camera frame, given the distance of the camera.
-    fill : float
-        Largest distance of a point's image from the principal point, as a share of half the
-        smaller image side.
-    least_mm : float
-        Smallest distance to try; the result if the points fit even there.
-
-    Raises
-    ------
-    DesignError
-        If no distance up to a million times ``least_mm`` does.
-    """
-    half = min(lens.width_px, lens.height_px) / 2.0 * fill
-
-    def fits(distance: float) -> bool:
-        away = np.linalg.norm(lens.project(reach(distance)) - lens.centre_px, axis=1)
-        return bool((away <= half).all())
-
-    if not (least_mm > 0.0 and half > 0.0):
-        raise DesignError(
-            "camera-fit-size-invalid",
-            f"camera fit needs positive sizes (got a least distance of {least_mm} mm, an image of "
-            f"{lens.width_px} x {lens.height_px} px, fill {fill})",
-        )
-    low, high = least_mm, least_mm
-    while not fits(high):
-        low, high = high, 2.0 * high
-        if high > 1e6 * least_mm:
-            raise DesignError(
-                "camera-fit-unreachable",
-                f"no camera distance up to {high:.3g} mm brings the near edge into {fill:g} of the "
-                "image; check the lens's focal length and distortion",
-            )
-    if low == high:
-        return least_mm
-    while low < (middle := (low + high) / 2.0) < high:  # to the last digit
-        low, high = (low, middle) if fits(middle) else (middle, high)
-    return high

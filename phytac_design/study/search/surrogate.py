@@ -83,7 +83,10 @@ class MetricLengths:
         return np.asarray(np.interp(u, self.middle, self.width))
 
     def y_mm(self, uv: FloatArray, source: FloatArray) -> FloatArray:
-        """Length (n,) around: from a source (2,) the short way if it closes, else from its edge."""
+        """Length (n,) around: from a source (2,) the short way if it closes, else from its edge.
+
+        Also from sources (2, n), one for each point.
+        """
         v0, v1 = self.surface.domain[1]
         if not self.surface.periodic[1]:
             return np.asarray((uv[:, 1] - v0) / (v1 - v0) * self.girth_mm(source[:1]))
@@ -196,6 +199,20 @@ def _cosines(x: FloatArray, k: FloatArray, value: FloatArray, slope: FloatArray)
             value[i, j], slope[i, j] = high * re, -high * k[j] * im
 
 
+@kernel
+def _sum_products(
+    mixed: FloatArray, leaning: FloatArray, value: FloatArray, slope: FloatArray, out: FloatArray
+) -> None:
+    """Write sums (n, 3) over k of mixed value, leaning value and mixed slope, (n, k) each."""
+    for i in range(len(out)):
+        a, b, c = 0.0, 0.0, 0.0
+        for j in range(mixed.shape[1]):
+            a += mixed[i, j] * value[i, j]
+            b += leaning[i, j] * value[i, j]
+            c += mixed[i, j] * slope[i, j]
+        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+
+
 def clamped_sigma(number: FloatArray) -> FloatArray:
     """(cosh - cos) / (sinh - sin) of a clamped beam's modes (m,), which cannot overflow."""
     small = np.exp(-number)
@@ -239,16 +256,10 @@ class Deflection:
 
         ``along`` is :meth:`Waves.at` of the points, ``y`` (n,) their lengths around.
         """
-        value, slope = self.around.at(y)
-        mixed = along[0] @ self.amplitude
-        return np.stack(
-            [
-                np.einsum("nk,nk->n", mixed, value),
-                np.einsum("nk,nk->n", along[1] @ self.amplitude, value),
-                np.einsum("nk,nk->n", mixed, slope),
-            ],
-            axis=1,
-        )
+        out = np.empty((len(y), 3))
+        mixed, leaning = along[0] @ self.amplitude, along[1] @ self.amplitude
+        _sum_products(mixed, leaning, *self.around.at(y), out)
+        return out
 
     def curvature(self, x: float, y: float) -> float:
         """Greatest second derivative of the motion at a point, 1/mm per newton."""
@@ -279,17 +290,29 @@ def _softness(wall: Wall, flat: Flat, radius_mm: float, count: int) -> FloatArra
     return np.asarray(load / resistance / (flat.length * flat.girth))
 
 
-def deflection_under_disc(
-    wall: Wall, flat: Flat, x: float, y: float, radius_mm: float, count: int = 36
-) -> Deflection:
-    """Deflection under a disc of a radius at the lengths x and y, 1 N inward."""
-    along = waves(flat.length, closed=False, count=count)
-    around = waves(flat.girth, closed=flat.closed, count=count)
-    x = inside(x, flat.length, radius_mm)
-    y = y if flat.closed else inside(y, flat.girth, radius_mm)
-    there = np.outer(along.at(np.array([x]))[0][0], around.at(np.array([y]))[0][0])
-    softness = _softness(wall, flat, radius_mm, count)
-    return Deflection(amplitude=there * softness, along=along, around=around)
+def deflections_under_discs(
+    wall: Wall,
+    flats: list[Flat],
+    x: FloatArray,
+    y: FloatArray,
+    radius_mm: FloatArray,
+    count: int = 36,
+) -> list[Deflection]:
+    """Deflection under each of discs (s,) at the lengths x and y, 1 N inward.
+
+    ``flats`` are of one face: equally long, all closed or none.
+    """
+    along = waves(flats[0].length, closed=False, count=count)
+    middle = [inside(*each) for each in zip(x, [along.length] * len(x), radius_mm, strict=True)]
+    values = along.at(np.array(middle))[0]
+    found = []
+    for flat, value, place, radius in zip(flats, values, y, radius_mm, strict=True):
+        around = waves(flat.girth, closed=flat.closed, count=count)
+        across = place if flat.closed else inside(place, flat.girth, radius)
+        amplitude = np.outer(value, around.at(np.array([across]))[0][0])
+        amplitude *= _softness(wall, flat, float(radius), count)
+        found.append(Deflection(amplitude=amplitude, along=along, around=around))
+    return found
 
 
 def tip_basis(sensor: Sensor) -> FloatArray:
@@ -342,17 +365,9 @@ class _Deflections:
 
     def dents(self, uv: FloatArray, radius_mm: FloatArray) -> list[Deflection]:
         """Deflection by a newton on each of discs (s,)."""
-        each = zip(uv, radius_mm, self.unrolled.at(uv), self.unrolled.x_mm(uv), strict=True)
-        return [
-            deflection_under_disc(
-                self.wall,
-                flat,
-                float(x),
-                float(self.unrolled.y_mm(place[None], place)[0]),
-                float(radius),
-            )
-            for place, radius, flat, x in each
-        ]
+        unrolled = self.unrolled
+        y = unrolled.y_mm(uv, uv.T).reshape(-1)
+        return deflections_under_discs(self.wall, unrolled.at(uv), unrolled.x_mm(uv), y, radius_mm)
 
     def greatest(self, sources: IntArray) -> tuple[FloatArray, FloatArray]:
         """Deflection mm and strain at receptors (s,) under the greatest force, least patch."""
@@ -406,7 +421,7 @@ def predict(
             dent.motion(shell.along, shell.unrolled.y_mm(markers.uv, place))
             for place, dent in zip(uv, shell.dents(uv, radius_mm), strict=True)
         ]
-        return np.asarray(np.einsum("nij,snj->sni", image, np.stack(motions)))
+        return np.moveaxis(image @ np.stack(motions, axis=2), 2, 0)
 
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     signals = contact_signals(surface, shifts, uv=markers.uv[chosen], radius_mm=radius)

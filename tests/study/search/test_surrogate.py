@@ -10,10 +10,11 @@ from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.study.advice.force_precision import force_sd_N
 from phytac_design.study.search.fidelity_levels import Candidate, mechanics, rules, sampled
 from phytac_design.study.search.surrogate import (
+    Deflection,
     Flat,
     MetricLengths,
     Wall,
-    deflection_under_disc,
+    deflections_under_discs,
     predict,
     spread_out,
     tip_basis,
@@ -31,9 +32,16 @@ WALL = Wall(
 )
 
 
+def under_disc(
+    wall: Wall, flat: Flat, x: float, y: float, radius_mm: float, count: int = 36
+) -> Deflection:
+    x_mm, y_mm, radii = (np.array([each]) for each in (x, y, radius_mm))
+    return deflections_under_discs(wall, [flat], x_mm, y_mm, radii, count)[0]
+
+
 def at_load(wall: Wall, flat: Flat, radius_mm: float, count: int) -> float:
     x, y = flat.length / 2.0, 0.0 if flat.closed else flat.girth / 2.0
-    dent = deflection_under_disc(wall, flat, x, y, radius_mm, count)
+    dent = under_disc(wall, flat, x, y, radius_mm, count)
     return float(dent.motion(dent.along.at(np.array([x])), np.array([y]))[0, 0])
 
 
@@ -71,7 +79,7 @@ def test_modes_of_a_clamped_beam() -> None:
 @pytest.mark.parametrize("closed", [True, False])
 def test_motion_slopes_and_curvature_agree_with_differences(closed: bool) -> None:
     flat = Flat(length=50.0, girth=90.0, closed=closed, k_u=0.01, k_v=0.03)
-    dent = deflection_under_disc(WALL, flat, 20.0, 0.0 if closed else 40.0, 4.0)
+    dent = under_disc(WALL, flat, 20.0, 0.0 if closed else 40.0, 4.0)
 
     def motion(x: float, y: float) -> np.ndarray:
         return dent.motion(dent.along.at(np.array([x])), np.array([y]))[0]
@@ -116,7 +124,7 @@ def test_a_deflection_under_disc_the_cylinder_is_near_finite_elements() -> None:
     unrolled = MetricLengths(surface)
     place = markers.uv[middle]
     x = unrolled.x_mm(place[None])
-    dent = deflection_under_disc(WALL, unrolled.at(place[None])[0], float(x[0]), 0.0, 5.0)
+    dent = under_disc(WALL, unrolled.at(place[None])[0], float(x[0]), 0.0, 5.0)
     found = float(dent.motion(dent.along.at(x), np.zeros(1))[0, 0])
     assert found == pytest.approx(exact, rel=0.25)
 
@@ -134,7 +142,7 @@ def test_tips_lean_as_in_finite_elements() -> None:
     tips = shell[:, :3] + np.cross(shell[:, 3:], markers.tip_mm - markers.mid_mm)
     unrolled, place = MetricLengths(surface), markers.uv[middle]
     here = float(unrolled.x_mm(place[None])[0])
-    dent = deflection_under_disc(WALL, unrolled.at(place[None])[0], here, 0.0, 5.0)
+    dent = under_disc(WALL, unrolled.at(place[None])[0], here, 0.0, 5.0)
     along = dent.along.at(unrolled.x_mm(markers.uv))
     motion = dent.motion(along, unrolled.y_mm(markers.uv, place))
     found = np.einsum("nij,nj->ni", tip_basis(sensor), motion)
