@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Table, run_parts
+from phytac_design.core.threads import THREADS
 from phytac_design.design.design_file import shipped_designs
 
 TARGETS_s = {
@@ -36,16 +37,19 @@ def run(
     design: str = "cylinder60",
     *,
     workers: int = WORKERS,
-    watch: Callable[[int], None] = lambda _: None,
+    threads: int | None = None,
+    watch: Callable[[int], None] | None = None,
 ) -> tuple[float, dict[str, Any]]:
     """Build a shipped design in a process of its own: wall seconds and its JSON summary.
 
-    ``watch`` is called with the process's number every second.
+    ``watch`` is called with the process's number every second. ``threads`` bounds the threads of
+    a build by one worker, which has as many as there are cores otherwise.
     """
     words = ["build", design, "--out", str(out), "--accuracy", accuracy, "--json"]
     words += ["--workers", str(workers)]
     # As for a user, Python keeps the code that it compiles at the first import.
     env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    env |= {} if threads is None else {THREADS: str(threads)}
     start = time.perf_counter()
     with tempfile.TemporaryFile() as said:
         done = subprocess.Popen(
@@ -53,10 +57,11 @@ def run(
             env={**env, "PHYTAC_CACHE": str(cache)},
             stdout=said,
         )
-        while done.poll() is None:
+        while watch and done.poll() is None:
             watch(done.pid)
             with suppress(subprocess.TimeoutExpired):
                 done.wait(1.0)
+        done.wait()
         seconds = time.perf_counter() - start
         if done.returncode:
             raise subprocess.CalledProcessError(done.returncode, words)
@@ -138,21 +143,33 @@ def add_workers(table: Table, *, accuracy: str) -> None:
     seconds: dict[int, float] = {}
     files: dict[int, dict[str, str]] = {}
     for workers in (1, 2, 4):
+        with tempfile.TemporaryDirectory() as folder:
+            cache, out = Path(folder) / "cache", Path(folder) / "out"
+            seconds[workers], _ = run(cache, out, accuracy, workers=workers)
+            manifest = json.loads((out / "manifest.json").read_text())
+            files[workers] = {item["path"]: item["sha256"] for item in manifest["files"]}
+        name = f"cylinder60, {accuracy}, workers: {workers}"
+        table.add(f"{name}: whole build, empty cache", seconds[workers], "s", "-", "reported only")
+    for workers in (1, WORKERS):
         peaks = [0.0]
 
         def watch(process: int, peaks: list[float] = peaks) -> None:
             peaks.append(memory_MB(process))
 
+        # A run of its own: to read the memory of all processes takes time from them.
         with tempfile.TemporaryDirectory() as folder:
             cache, out = Path(folder) / "cache", Path(folder) / "out"
-            seconds[workers], _ = run(cache, out, accuracy, workers=workers, watch=watch)
-            manifest = json.loads((out / "manifest.json").read_text())
-            files[workers] = {item["path"]: item["sha256"] for item in manifest["files"]}
-        name = f"cylinder60, {accuracy}, workers: {workers}"
-        table.add(f"{name}: whole build, empty cache", seconds[workers], "s", "-", "reported only")
+            run(cache, out, accuracy, workers=workers, watch=watch)
         limit = "<= 3" if workers == WORKERS else None
         source = "project target, of all processes, proportional set size"
-        table.add(f"{name}: peak memory", max(peaks) / 1024.0, "GiB", 3.0, source, limit)
+        row = f"cylinder60, {accuracy}, workers: {workers}: peak memory"
+        table.add(row, max(peaks) / 1024.0, "GiB", 3.0, source, limit)
+    with tempfile.TemporaryDirectory() as folder:
+        cache, out = Path(folder) / "cache", Path(folder) / "out"
+        single, _ = run(cache, out, accuracy, workers=1, threads=1)
+    row = f"cylinder60, {accuracy}: two workers over one of one thread"
+    note = "one worker has two threads otherwise, each of two has one"
+    table.add(row, single / seconds[2], "times", "-", "reported only", note=note)
     name = f"cylinder60, {accuracy}"
     gain = seconds[1] / seconds[2]
     table.add(f"{name}: two workers over one", gain, "times", 1.6, "project target", ">= 1.6")

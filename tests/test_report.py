@@ -129,6 +129,20 @@ def test_a_plane_is_drawn_from_its_centre_and_a_patch_from_its_corner() -> None:
     assert "from its corner" in flat_map.flat_map(patch, corner).x_label
 
 
+def test_a_map_does_not_keep_what_it_showed_before() -> None:
+    places = np.random.default_rng(0).random((50, 2)) * 60.0
+    flat = flat_map.FlatMap(
+        points=places, outline=(), x_label="x", y_label="y", y_down=False, note="flat"
+    )
+    other = {"label": "other", "marked": places[:, 0] > 30.0, "cross": np.array([9.0, 9.0])}
+    again = report_figures.ValueMap(flat, ["blue"] * 50)
+    first = again.png(places[:, 0], label="mm")
+    assert again.png(1e4 * places[:, 1], **other) != first
+    assert again.png(places[:, 0], label="mm") == first
+    fresh = report_figures.ValueMap(flat, ["blue"] * 50)
+    assert fresh.png(places[:, 0], label="mm") == first
+
+
 @pytest.mark.parametrize("sides", [(200.0, 40.0), (60.0, 60.0), (30.0, 120.0)])
 def test_the_colour_bar_is_as_tall_as_the_map(sides: tuple[float, float]) -> None:
     places = np.random.default_rng(0).random((50, 2)) * sides
@@ -138,7 +152,7 @@ def test_the_colour_bar_is_as_tall_as_the_map(sides: tuple[float, float]) -> Non
     wide, tall = report_figures.map_size_in(flat)
     extent = flat.limits[1] - flat.limits[0]
     assert wide / tall == pytest.approx(extent[0] / extent[1], rel=1e-6)
-    data = report_figures.value_map(flat, places[:, 0], label="mm", colours=["blue"] * 50)
+    data = report_figures.ValueMap(flat, ["blue"] * 50).png(places[:, 0], label="mm")
     image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     top = MAP.above_in * 130
     bottom = top + tall * 130

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -198,20 +199,36 @@ def test_stages_that_do_not_fit_the_memory_together_wait(monkeypatch: pytest.Mon
     with ExitStack() as keep:
         some = stage_run(stages, keep, costs, [])
         # Alone, a stage runs whatever it needs.
-        assert some._next(stages) is stages[0]
+        assert some._next(stages, [0]) == (0, stages[0])
         some._begun["a"] = 0.0
-        assert some._next(stages) is None
+        assert some._next(stages, [0]) is None
         some._begun = {"b": 0.0}
-        assert some._next(stages[1:]) is stages[2]
+        assert some._next(stages[1:], [0]) == (0, stages[2])
         some._begun["c"] = 0.0
-        assert some._next(stages) is None
+        assert some._next(stages, [0]) is None
 
 
 def test_the_longest_way_to_the_end_starts_first() -> None:
     stages = graph(a=(add, ""), b=(add, ""), c=(add, "b"))
     costs = StageCosts(seconds={"a": 3.0, "b": 1.0, "c": 9.0}, memory_MB={})
     with ExitStack() as keep:
-        assert stage_run(stages, keep, costs, [])._next(stages) is stages[1]
+        assert stage_run(stages, keep, costs, [])._next(stages, [0]) == (0, stages[1])
+
+
+def test_packages_are_imported_by_one_worker_while_others_have_work() -> None:
+    a, b, c = graph(a=(add, ""), b=(add, ""), c=(add, ""))
+    a, b = (replace(stage, imports=frozenset({"slow"})) for stage in (a, b))
+    costs = StageCosts(seconds={"a": 3.0, "b": 2.0, "c": 1.0}, memory_MB={})
+    with ExitStack() as keep:
+        some = stage_run([a, b, c], keep, costs, [])
+        assert some._next([a, b, c], [0, 1]) == (0, a)
+        some._begun["a"], some._imported[0] = 0.0, {"slow"}
+        # Worker 1 would import the package again: it does something else as long as it can.
+        assert some._next([a, b, c], [1]) == (1, c)
+        assert some._next([a, b], [1]) == (1, b)
+        del some._begun["a"]
+        some.context.folders["a"] = Path()
+        assert some._next([a, b, c], [1, 0]) == (0, b)
 
 
 def test_the_time_left_is_that_of_a_schedule_on_the_workers() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.core.workers import TaskResult, WorkerPool
+from phytac_design.core.workers import For, TaskResult, WorkerPool
 from phytac_shapes.errors import DesignError
 from tests.refusals import refused
 
@@ -105,6 +105,17 @@ def test_processes_are_kept_or_replaced_and_have_one_thread() -> None:
         assert len({r.value for r in pool.run(range(3))}) == 3
     with WorkerPool(environment, workers=1) as pool:
         assert [r.value for r in pool.run(["OPENBLAS_NUM_THREADS"])] == ["1"]
+
+
+def test_tasks_for_a_certain_worker() -> None:
+    with WorkerPool(process_id, workers=2) as pool:
+        assert pool.free() == [0, 1]
+        found = sorted(pool.run([For(1, "a"), For(0, "b")]), key=lambda r: r.index)
+        again = [r.value for r in pool.run([For(1, "c")])] + [
+            r.value for r in pool.run([For(0, "d")])
+        ]
+    assert again == [r.value for r in found]
+    assert len(set(again)) == 2
 
 
 def test_workers_have_the_environment_of_their_call(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,8 @@ def png(figure: Any) -> bytes:
     """PNG of a figure, the same bytes for the same figure."""
     buffer = BytesIO()
     # Without a fixed date and program the same figure would not give the same bytes.
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    style = {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 1}}
+    figure.savefig(buffer, format="png", dpi=130, **style)
     return buffer.getvalue()
 
 

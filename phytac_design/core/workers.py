@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import connection, get_context, parent_process
 from multiprocessing.connection import Connection
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from phytac_design.core.threads import PRELOAD, THREADS, one_thread_each
 
@@ -150,7 +150,8 @@ class WorkerPool:
         Parameters
         ----------
         tasks : iterable
-            None among them: no other task is ready before the next result has arrived.
+            None among them: no other task is ready before the next result has arrived. A
+            :class:`For` among them goes to a certain one of the workers in :meth:`free`.
         note : callable
             Called with the index of a task and what its worker passed to :func:`send_note`.
 
@@ -160,10 +161,10 @@ class WorkerPool:
             Whatever ``start`` or ``work`` raised.
         """
         if self.workers == 0:
-            for index, task in enumerate(tasks):
+            for each in filter(None, _numbered(tasks)):
                 if not self._states:
                     self._states.append(self.start(*self.arguments) if self.start else None)
-                yield TaskResult(index=index, value=self.work(self._states[0], task))
+                yield TaskResult(index=each.index, value=self.work(self._states[0], each.task))
             return
         queue = _numbered(tasks)
         retries: deque[_Task] = deque()
@@ -187,17 +188,27 @@ class WorkerPool:
 
     def _busy(self, queue: Iterator["_Task | None"]) -> list["_Process"]:
         """Give out tasks to free workers; all processes that have one."""
-        free = [process for process in self._processes if process.task is None]
-        count = self.workers - len(self._processes) + len(free)
-        for _, task in zip(range(count), queue, strict=False):
-            if task is None:
-                break
-            if free:
-                free.pop().give(task, self.time_limit_s)
-            else:
-                self._processes.append(_Process(self.start, self.arguments, self.work))
-                self._processes[-1].give(task, self.time_limit_s)
+        while (free := self.free()) and (task := next(queue, None)):
+            number = free[0] if task.worker is None else task.worker
+            if number not in (process.number for process in self._processes):
+                made = _Process(self.start, self.arguments, self.work, number)
+                self._processes.append(made)
+            process = next(each for each in self._processes if each.number == number)
+            process.give(task, self.time_limit_s)
         return [process for process in self._processes if process.task]
+
+    def free(self) -> list[int]:
+        """Numbers from 0 of the workers without a task: processes that run before others."""
+        waiting = [each.number for each in self._processes if each.task is None]
+        started = {each.number for each in self._processes}
+        return waiting + [number for number in range(self.workers) if number not in started]
+
+
+class For(NamedTuple):
+    """A task for a certain worker of :meth:`WorkerPool.free`, or for any."""
+
+    worker: int | None
+    task: Any
 
 
 def send_note(value: Any) -> None:
@@ -216,7 +227,8 @@ def _numbered(tasks: Iterable[Any]) -> Iterator["_Task | None"]:
         if task is None:
             yield None
         else:
-            yield _Task(index, task)
+            placed = task if isinstance(task, For) else For(None, task)
+            yield _Task(index, placed.task, placed.worker)
             index += 1
 
 
@@ -229,6 +241,7 @@ def _first(queue: deque["_Task"]) -> Iterator["_Task"]:
 class _Task:
     index: int
     task: Any
+    worker: int | None = None
     attempts: int = 0
 
 
@@ -243,7 +256,9 @@ class _Process:
         start: Callable[..., Any] | None,
         arguments: tuple[Any, ...],
         work: Callable[[Any, Any], Any],
+        number: int,
     ) -> None:
+        self.number = number
         forked = import_ahead(work.__module__)
         context: Any = get_context("forkserver" if forked else "spawn")
         self.pipe, other = context.Pipe()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.core.machine import available_memory_MB, release_memory
-from phytac_design.core.workers import TaskResult, WorkerPool, send_note
+from phytac_design.core.workers import For, TaskResult, WorkerPool, send_note
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage, array_hashes
 from phytac_shapes.errors import DesignError, NumericalError
@@ -140,6 +140,8 @@ class StageRun:
         self._looked_up: set[str] = set()
         self._begun: dict[str, float] = {}
         """Stages that are running, and since when."""
+        self._imported: dict[int, set[str]] = {}
+        """Packages that stages of each worker have imported."""
 
     def run(self, workers: int) -> None:
         """Bring all stages into the cache, in this process or in several others.
@@ -168,16 +170,19 @@ class StageRun:
     def _run_side_by_side(self, stages: Sequence[Stage]) -> None:
         given: list[StageTask] = []
 
-        def tasks() -> Iterator[StageTask | None]:
+        def tasks() -> Iterator[For | None]:
             while any(stage.name not in self.context.folders for stage in stages):
-                stage = self._next(stages)
-                if stage is None:
+                choice = self._next(stages, pool.free())
+                if choice is None:
                     yield None
                     continue
+                worker, stage = choice
                 self._begun[stage.name] = time.monotonic()
+                self._imported.setdefault(worker, set()).update(stage.imports)
                 given.append(self._task(stage, print))
-                yield given[-1]
+                yield For(worker, given[-1])
 
+        self._imported.clear()
         try:
             with WorkerPool(publish_in_worker, workers=self._workers) as pool:
                 for result in pool.run(tasks(), note=lambda _, text: self._report(text)):
@@ -193,8 +198,11 @@ class StageRun:
             cache.sweep()  # what the processes that were stopped have left
             raise
 
-    def _next(self, stages: Sequence[Stage]) -> Stage | None:
-        """Stage to run next; None if all that are ready run, or must wait for memory."""
+    def _next(self, stages: Sequence[Stage], free: Sequence[int]) -> tuple[int, Stage] | None:
+        """Worker and stage to run next; None if all that are ready run, or must wait for memory.
+
+        A stage whose packages only a busy worker has imported comes after the others.
+        """
         folders = self.context.folders
         while True:
             ready = [
@@ -211,10 +219,14 @@ class StageRun:
                 break
         ready.sort(key=lambda stage: -self._ranks[stage.name])
         taken_MB = sum(self._peak_MB(name) for name in self._begun)
+        busy, choices = self._imported.keys() - free, []
         for stage in ready:
             if not self._begun or taken_MB + self._peak_MB(stage.name) <= self._limit_MB:
-                return stage
-        return None
+                missing = {k: stage.imports - self._imported.get(k, set()) for k in free}
+                worker = min(free, key=lambda k: len(missing[k]))
+                elsewhere = any(missing[worker] & self._imported[k] for k in busy)
+                choices.append((elsewhere, worker, stage))
+        return min(choices, key=lambda choice: choice[0])[1:] if choices else None
 
     def _settle(self, stage: Stage, result: TaskResult) -> None:
         """Take the result of a worker."""

@@ -109,6 +109,8 @@ class Stage:
         Whether it does more where the machine has graphics libraries.
     scene : tuple of str
         Properties of a scene that it reads.
+    imports : frozenset of str
+        Packages that take long to import: it is run by a process that has them, if one is free.
     only_with : str
         Setting of the accuracy preset without which it makes nothing; "" if it always does.
     gate : callable or None
@@ -129,6 +131,7 @@ class Stage:
     seeded: bool = False
     graphics: bool = False
     scene: tuple[str, ...] = ()
+    imports: frozenset[str] = frozenset()
     only_with: str = ""
     gate: Callable[[Context], str] | None = None
     finish: Callable[[Design, Path], None] | None = None

@@ -19,7 +19,7 @@ from phytac_design.design.spec import Design
 from phytac_design.geometry.flat_map import flat_map
 from phytac_design.layout.marker_layout import make_markers
 from phytac_design.layout.markers import Markers
-from phytac_design.report.report_figures import draw_map, map_size_in, paint_of_each, value_map
+from phytac_design.report.report_figures import ValueMap, draw_map, map_size_in, paint_of_each
 from phytac_shapes import Surface
 from phytac_shapes.errors import PhytacError
 
@@ -88,12 +88,8 @@ def design_html(design: Design) -> str:
 def design_map(design: Design, markers: Markers) -> str:
     """Figure of the markers in their paints on the flat map of the surface, filled by height."""
     flat = flat_map(design.surface(), markers.uv)
-    picture = value_map(
-        flat,
-        markers.height_mm,
-        label="receptor height (mm)",
-        colours=paint_of_each(design.layout.colours, markers),
-    )
+    each = paint_of_each(design.layout.colours, markers)
+    picture = ValueMap(flat, each).png(markers.height_mm, label="receptor height (mm)")
     return figure(picture, f"{markers.count} markers of {design.name}, {flat.note}")
 
 

@@ -60,65 +60,92 @@ def draw_map(axes: Any, flat: flat_map.FlatMap) -> None:
     axes.set(xlabel=flat.x_label, ylabel=flat.y_label)
 
 
-def value_map(
-    flat: flat_map.FlatMap,
-    values: FloatArray,
-    *,
-    label: str,
-    colours: Sequence[str],
-    marked: BoolArray | None = None,
-    cross: FloatArray | None = None,
-) -> bytes:
+class ValueMap:
     """Markers on a map, filled by a value, edged by their paint; the bar is as tall as the map.
+
+    It is drawn again and again with other values: most of the time of a picture goes into its
+    axes.
 
     Parameters
     ----------
     flat : flat_map.FlatMap
         Places of the n markers.
-    values : (n,) float
-        What the fill shows; markers without a finite value are left hollow.
-    label : str
-        Of the colour bar.
     colours : list of str
         Paint of each marker.
-    marked : (n,) bool, optional
-        Markers to put a red ring around.
-    cross : (2,) float, optional
-        Place to mark with a cross.
     """
-    wide, tall = map_size_in(flat)
-    size = MAP.left_in + wide + MAP.right_in, MAP.below_in + tall + MAP.above_in
-    figure = new_figure(size, constrained=False)
 
-    def box(left: float, width: float) -> Any:
-        rectangle = (left / size[0], MAP.below_in / size[1], width / size[0], tall / size[1])
-        return figure.add_axes(rectangle)
+    def __init__(self, flat: flat_map.FlatMap, colours: Sequence[str]) -> None:
+        self.flat = flat
+        self.edge = np.array([INK.get(name, "black") for name in colours])
+        wide, tall = map_size_in(flat)
+        size = MAP.left_in + wide + MAP.right_in, MAP.below_in + tall + MAP.above_in
+        self.figure = new_figure(size, constrained=False)
 
-    axes, bar = box(MAP.left_in, wide), box(MAP.left_in + wide + MAP.gap_in, MAP.bar_in)
-    draw_map(axes, flat)
-    _break_labels(axes, wide, tall)
-    known = np.isfinite(values)
-    low, high = (
-        (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
-    )
-    if high - low <= 1e-9 * max(abs(high), 1e-300):  # a constant: a range from zero
-        low, high = (0.0, high) if high > 0.0 else (0.0, 1.0)
-    area = float(np.prod(np.ptp(flat.points[np.isfinite(flat.points[:, 0])], axis=0)))
-    per_unit = 72.0 * wide / float(flat.limits[1, 0] - flat.limits[0, 0])
-    # Dots are half as wide as the markers' spacing on the map.
-    width_pt = float(np.clip(0.5 * np.sqrt(area / max(len(values), 1)) * per_unit, 2.5, 8.0))
-    edge = np.array([INK.get(name, "black") for name in colours])
-    style = {"s": width_pt**2, "linewidths": 0.16 * width_pt, "zorder": 3}
-    colour = {"c": values[known], "vmin": low, "vmax": high, "cmap": "viridis"}
-    dots = axes.scatter(*flat.points[known].T, edgecolors=edge[known], **style, **colour)
-    axes.scatter(*flat.points[~known].T, facecolors="none", edgecolors=edge[~known], **style)
-    if marked is not None and marked.any():
-        ring = {"facecolors": "none", "edgecolors": "#d00000", "linewidths": 1.2, "zorder": 4}
-        axes.scatter(*flat.points[marked].T, s=(1.7 * width_pt) ** 2, **ring)
-    if cross is not None:
-        axes.plot(*cross, marker="x", color="#d00000", markersize=11, markeredgewidth=2, zorder=5)
-    figure.colorbar(dots, cax=bar, label=label)
-    return png(figure)
+        def box(left: float, width: float) -> Any:
+            rectangle = (left / size[0], MAP.below_in / size[1], width / size[0], tall / size[1])
+            return self.figure.add_axes(rectangle)
+
+        self.axes, self.side = (
+            box(MAP.left_in, wide),
+            box(MAP.left_in + wide + MAP.gap_in, MAP.bar_in),
+        )
+        self.bar: Any = None
+        draw_map(self.axes, flat)
+        _break_labels(self.axes, wide, tall)
+        area = float(np.prod(np.ptp(flat.points[np.isfinite(flat.points[:, 0])], axis=0)))
+        per_unit = 72.0 * wide / float(flat.limits[1, 0] - flat.limits[0, 0])
+        # Dots are half as wide as the markers' spacing on the map.
+        spacing_pt = np.sqrt(area / max(len(flat.points), 1)) * per_unit
+        self.width_pt = float(np.clip(0.5 * spacing_pt, 2.5, 8.0))
+
+    def png(
+        self,
+        values: FloatArray,
+        *,
+        label: str,
+        marked: BoolArray | None = None,
+        cross: FloatArray | None = None,
+    ) -> bytes:
+        """PNG of the map.
+
+        Parameters
+        ----------
+        values : (n,) float
+            What the fill shows; markers without a finite value are left hollow.
+        label : str
+            Of the colour bar.
+        marked : (n,) bool, optional
+            Markers to put a red ring around.
+        cross : (2,) float, optional
+            Place to mark with a cross.
+        """
+        known = np.isfinite(values)
+        low, high = (
+            (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
+        )
+        if high - low <= 1e-9 * max(abs(high), 1e-300):  # a constant: a range from zero
+            low, high = (0.0, high) if high > 0.0 else (0.0, 1.0)
+        places, width_pt = self.flat.points, self.width_pt
+        style = {"s": width_pt**2, "linewidths": 0.16 * width_pt, "zorder": 3}
+        colour = {"c": values[known], "vmin": low, "vmax": high, "cmap": "viridis"}
+        scatter, edge = self.axes.scatter, self.edge
+        dots = scatter(*places[known].T, edgecolors=edge[known], **style, **colour)
+        drawn = [dots]
+        drawn += [scatter(*places[~known].T, facecolors="none", edgecolors=edge[~known], **style)]
+        if marked is not None and marked.any():
+            ring = {"facecolors": "none", "edgecolors": "#d00000", "linewidths": 1.2, "zorder": 4}
+            drawn += [scatter(*places[marked].T, s=(1.7 * width_pt) ** 2, **ring)]
+        if cross is not None:
+            thick = {"markersize": 11, "markeredgewidth": 2, "zorder": 5}
+            drawn += self.axes.plot(*cross, marker="x", color="#d00000", **thick)
+        if self.bar is None:
+            self.bar = self.figure.colorbar(dots, cax=self.side)
+        self.bar.update_normal(dots)
+        self.bar.set_label(label)
+        data = png(self.figure)
+        for each in drawn:
+            each.remove()
+        return data
 
 
 def _break_labels(axes: Any, wide: float, tall: float) -> None:
@@ -134,8 +161,8 @@ def error_bars(table: Mapping[str, Mapping[str, Any]], marks: Mapping[str, str])
 
     ``marks`` holds the footnote signs of estimators.
     """
-    figure = new_figure((6.4, 3.2))
-    axes = figure.add_subplot()
+    figure = new_figure((6.4, 3.2), constrained=False)
+    axes = figure.add_axes((0.12, 0.1, 0.86, 0.78))
     names = list(table)
     place = np.arange(len(names))
     shown: list[float] = []
@@ -181,10 +208,18 @@ class Drawing:
         pixels = self.context.arrays("views")["rest_px"]
         return flat_map.picture_map(pixels, (camera.width_px, camera.height_px))
 
+    @cached_property
+    def _on_flat(self) -> ValueMap:
+        return ValueMap(self.flat, self.colours)
+
+    @cached_property
+    def _in_picture(self) -> ValueMap | None:
+        return ValueMap(self.picture, self.colours) if self.picture else None
+
     def layout_png(self) -> bytes:
         """PNG of the receptors' heights on the surface's map."""
         height = self.context.markers.height_mm
-        return value_map(self.flat, height, label="receptor height (mm)", colours=self.colours)
+        return self._on_flat.png(height, label="receptor height (mm)")
 
     def maps(
         self,
@@ -216,11 +251,10 @@ class Drawing:
             if cross is None
             else flat_map.flat_map(self.context.surface, cross[None]).points[0]
         )
-        style: dict[str, Any] = {"label": label, "colours": self.colours, "marked": marked}
-        data = value_map(flat, values, cross=at, **style)
+        data = self._on_flat.png(values, label=label, marked=marked, cross=at)
         out += page.figure(data, f"{caption}; {flat.note}", name=f"{name}.png")
-        if in_picture and self.picture is not None:
-            data = value_map(self.picture, values, **style)
+        if in_picture and self._in_picture and self.picture:
+            data = self._in_picture.png(values, label=label, marked=marked)
             note = f"{caption}; {self.picture.note}"
             out += page.figure(data, note, name=f"{name}_picture.png")
         return out

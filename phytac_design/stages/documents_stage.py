@@ -190,5 +190,6 @@ BENCH = Stage(
     settings=("cad_tolerance_mm",),
     depends_on=("shell", "switch", "printing", *OTHERS),
     only_with="tools",
+    imports=frozenset({"matplotlib"}),
     run=run,
 )

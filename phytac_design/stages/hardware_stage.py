@@ -151,5 +151,6 @@ HARDWARE = Stage(
     settings=("cad_tolerance_mm", "step"),
     depends_on=("switch", "step"),
     graphics=True,
+    imports=frozenset({"cadquery"}),
     run=run,
 )

@@ -115,5 +115,6 @@ PRINTING = Stage(
     design_fields=("name", "tubes", "wall", "receptor", "print_rules"),
     settings=("cad_tolerance_mm", "tools"),
     depends_on=("shell", *OTHERS),
+    imports=frozenset({"matplotlib"}),
     run=run,
 )

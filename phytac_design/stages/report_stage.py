@@ -152,5 +152,6 @@ REPORT = Stage(
         "renders",
         "frames",
     ),
+    imports=frozenset({"matplotlib"}),
     run=run,
 )

@@ -110,5 +110,6 @@ STEP = Stage(
     depends_on=("shell",),
     graphics=True,
     only_with="step",
+    imports=frozenset({"cadquery"}),
     run=run_step,
 )

@@ -142,5 +142,6 @@ SWITCH = Stage(
         "trips",
     ),
     gate=refusal,
+    imports=frozenset({"matplotlib"}),
     run=run,
 )

@@ -347,18 +347,18 @@ def test_the_same_design_gives_the_same_files(tmp_path: Path) -> None:
 
 
 def test_another_export_into_a_folder_leaves_no_model_with_foreign_meshes(tmp_path: Path) -> None:
-    design = tiny(receptor={"diameter_hole_mm": 0.0})
-    first = export_simulator(design, tmp_path, to="mjcf", progress=lambda _: None)
+    design, folder = tiny(receptor={"diameter_hole_mm": 0.0}), tmp_path / "out"
+    first = export_simulator(design, folder, to="mjcf", progress=lambda _: None)
     assert f"{design.name}.xml" in first["files"]
-    table = json.loads((tmp_path / "export.json").read_text())
+    table = json.loads((folder / "export.json").read_text())
     table["files"] += ["collision_99.obj", "../outside"]
-    (tmp_path / "export.json").write_text(json.dumps(table))
+    (folder / "export.json").write_text(json.dumps(table))
     for name in ("collision_99.obj", "mine.txt", "../outside"):
-        (tmp_path / name).write_text("")
-    second = export_simulator(design, tmp_path, to="urdf", progress=lambda _: None)
-    names = {path.name for path in tmp_path.iterdir()}
+        (folder / name).write_text("")
+    second = export_simulator(design, folder, to="urdf", progress=lambda _: None)
+    names = {path.name for path in folder.iterdir()}
     assert names == {*second["files"], "export.json", "mine.txt"}
-    assert (tmp_path / "../outside").exists()
+    assert (tmp_path / "outside").exists()
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:

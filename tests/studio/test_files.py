@@ -20,8 +20,10 @@ Json = dict[str, Any]
 
 @pytest.fixture
 def project(tmp_path: Path) -> ProjectFolder:
-    (tmp_path / "short.toml").write_text(DESIGN)
-    return ProjectFolder(tmp_path)
+    folder = tmp_path / "project"
+    folder.mkdir()
+    (folder / "short.toml").write_text(DESIGN)
+    return ProjectFolder(folder)
 
 
 def test_comments_stay_where_fields_stay(project: ProjectFolder, data: Json) -> None:
@@ -129,7 +131,7 @@ def test_what_is_there_is_not_written_over_unasked(project: ProjectFolder, data:
 def test_nothing_is_written_elsewhere(project: ProjectFolder, data: Json, name: str) -> None:
     (project.root / "folder.toml").mkdir()
     outside = project.root.parent / "outside"
-    outside.mkdir(exist_ok=True)
+    outside.mkdir()
     (project.root / "link").symlink_to(outside)
     with pytest.raises((InputError, OutputError)):
         project.save(name, data, source="short.toml", force=True)
