@@ -43,7 +43,7 @@ def run(
     """Build a shipped design in a process of its own: wall seconds and its JSON summary.
 
     ``watch`` is called with the process's number every second. ``threads`` bounds the threads of
-    a build by one worker, which has as many as there are cores otherwise.
+    a build by one worker, which has one for each of up to eight cores otherwise.
     """
     words = ["build", design, "--out", str(out), "--accuracy", accuracy, "--json"]
     words += ["--workers", str(workers)]
@@ -168,7 +168,7 @@ def add_workers(table: Table, *, accuracy: str) -> None:
         cache, out = Path(folder) / "cache", Path(folder) / "out"
         single, _ = run(cache, out, accuracy, workers=1, threads=1)
     row = f"cylinder60, {accuracy}: two workers over one of one thread"
-    note = "one worker has two threads otherwise, each of two has one"
+    note = "one worker has a thread for each core otherwise, each of two has one"
     table.add(row, single / seconds[2], "times", "-", "reported only", note=note)
     name = f"cylinder60, {accuracy}"
     gain = seconds[1] / seconds[2]

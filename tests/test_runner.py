@@ -217,15 +217,17 @@ def test_the_longest_way_to_the_end_starts_first() -> None:
 
 def test_packages_are_imported_by_one_worker_while_others_have_work() -> None:
     a, b, c = graph(a=(add, ""), b=(add, ""), c=(add, ""))
-    a, b = (replace(stage, imports=frozenset({"slow"})) for stage in (a, b))
+    a, b = (replace(stage, imports={"slow": 1.5}) for stage in (a, b))
     costs = StageCosts(seconds={"a": 3.0, "b": 2.0, "c": 1.0}, memory_MB={})
     with ExitStack() as keep:
         some = stage_run([a, b, c], keep, costs, [])
         assert some._next([a, b, c], [0, 1]) == (0, a)
         some._begun["a"], some._imported[0] = 0.0, {"slow"}
-        # Worker 1 would import the package again: it does something else as long as it can.
+        # Worker 1 would import the package again: it does something else if that is as urgent.
         assert some._next([a, b, c], [1]) == (1, c)
         assert some._next([a, b], [1]) == (1, b)
+        some._ranks["b"] = 3.0
+        assert some._next([a, b, c], [1]) == (1, b)
         del some._begun["a"]
         some.context.folders["a"] = Path()
         assert some._next([a, b, c], [1, 0]) == (0, b)

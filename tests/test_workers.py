@@ -116,6 +116,14 @@ def test_tasks_for_a_certain_worker() -> None:
         ]
     assert again == [r.value for r in found]
     assert len(set(again)) == 2
+    with WorkerPool(sleep, workers=2) as pool, pytest.raises(ValueError, match="1 is not free"):
+        list(pool.run([For(1, 0.0), For(1, 0.0)]))
+
+
+def test_a_worker_that_takes_the_place_of_another_has_another_number(tmp_path: Path) -> None:
+    with WorkerPool(die_once, workers=1) as pool:
+        assert [r.value for r in pool.run([For(0, tmp_path / "a")])] == [1]
+        assert pool.free() == [1]
 
 
 def test_workers_have_the_environment_of_their_call(monkeypatch: pytest.MonkeyPatch) -> None:

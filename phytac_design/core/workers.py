@@ -15,7 +15,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import connection, get_context, parent_process
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, Self
@@ -127,6 +127,8 @@ class WorkerPool:
         self.workers, self.retries, self.tasks_per_process = workers, retries, tasks_per_process
         self.time_limit_s = time_limit_s
         self._processes: list[_Process] = []
+        self._unused, self._count = list(range(workers)), workers
+        """Numbers of processes that may be started, and the next number."""
         self._states: list[Any] = []
 
     def __enter__(self) -> Self:
@@ -151,7 +153,8 @@ class WorkerPool:
         ----------
         tasks : iterable
             None among them: no other task is ready before the next result has arrived. A
-            :class:`For` among them goes to a certain one of the workers in :meth:`free`.
+            :class:`For` among them goes to a certain one of the workers in :meth:`free`. Neither
+            is for ``workers = 0``.
         note : callable
             Called with the index of a task and what its worker passed to :func:`send_note`.
 
@@ -161,10 +164,10 @@ class WorkerPool:
             Whatever ``start`` or ``work`` raised.
         """
         if self.workers == 0:
-            for each in filter(None, _numbered(tasks)):
+            for index, task in enumerate(tasks):
                 if not self._states:
                     self._states.append(self.start(*self.arguments) if self.start else None)
-                yield TaskResult(index=each.index, value=self.work(self._states[0], each.task))
+                yield TaskResult(index=index, value=self.work(self._states[0], task))
             return
         queue = _numbered(tasks)
         retries: deque[_Task] = deque()
@@ -175,22 +178,23 @@ class WorkerPool:
                         continue
                     task, result = process.result()
                     if process.dead or process.tasks == self.tasks_per_process:
-                        process.stop()
-                        self._processes.remove(process)
+                        self._drop(process)
                     if process.dead and task.attempts <= self.retries:
-                        retries.append(task)
+                        retries.append(replace(task, worker=None))
                     else:
                         yield result
         finally:
             for process in [process for process in self._processes if process.task]:
-                process.stop()
-                self._processes.remove(process)
+                self._drop(process)
 
     def _busy(self, queue: Iterator["_Task | None"]) -> list["_Process"]:
         """Give out tasks to free workers; all processes that have one."""
         while (free := self.free()) and (task := next(queue, None)):
             number = free[0] if task.worker is None else task.worker
-            if number not in (process.number for process in self._processes):
+            if number not in free:
+                raise ValueError(f"worker {number} is not free")
+            if number in self._unused:
+                self._unused.remove(number)
                 made = _Process(self.start, self.arguments, self.work, number)
                 self._processes.append(made)
             process = next(each for each in self._processes if each.number == number)
@@ -198,10 +202,15 @@ class WorkerPool:
         return [process for process in self._processes if process.task]
 
     def free(self) -> list[int]:
-        """Numbers from 0 of the workers without a task: processes that run before others."""
-        waiting = [each.number for each in self._processes if each.task is None]
-        started = {each.number for each in self._processes}
-        return waiting + [number for number in range(self.workers) if number not in started]
+        """Numbers of the workers without a task: processes that run, then those to be started."""
+        return [each.number for each in self._processes if each.task is None] + self._unused
+
+    def _drop(self, process: "_Process") -> None:
+        """End a process; one with a new number may take its place."""
+        process.stop()
+        self._processes.remove(process)
+        self._unused.append(self._count)
+        self._count += 1
 
 
 class For(NamedTuple):

@@ -178,7 +178,8 @@ class StageRun:
                     continue
                 worker, stage = choice
                 self._begun[stage.name] = time.monotonic()
-                self._imported.setdefault(worker, set()).update(stage.imports)
+                if stage.makes(self.context.accuracy):
+                    self._imported.setdefault(worker, set()).update(stage.imports)
                 given.append(self._task(stage, print))
                 yield For(worker, given[-1])
 
@@ -201,7 +202,8 @@ class StageRun:
     def _next(self, stages: Sequence[Stage], free: Sequence[int]) -> tuple[int, Stage] | None:
         """Worker and stage to run next; None if all that are ready run, or must wait for memory.
 
-        A stage whose packages only a busy worker has imported comes after the others.
+        A stage whose packages only a busy worker has imported comes as much later as another one
+        would take to import them.
         """
         folders = self.context.folders
         while True:
@@ -217,16 +219,16 @@ class StageRun:
                     with_results |= self._take_cached(stage)
             if not with_results:
                 break
-        ready.sort(key=lambda stage: -self._ranks[stage.name])
         taken_MB = sum(self._peak_MB(name) for name in self._begun)
-        busy, choices = self._imported.keys() - free, []
+        busy = (have for worker, have in self._imported.items() if worker not in free)
+        elsewhere, choices = set[str]().union(*busy), []
         for stage in ready:
             if not self._begun or taken_MB + self._peak_MB(stage.name) <= self._limit_MB:
-                missing = {k: stage.imports - self._imported.get(k, set()) for k in free}
+                missing = {k: stage.imports.keys() - self._imported.get(k, set()) for k in free}
                 worker = min(free, key=lambda k: len(missing[k]))
-                elsewhere = any(missing[worker] & self._imported[k] for k in busy)
-                choices.append((elsewhere, worker, stage))
-        return min(choices, key=lambda choice: choice[0])[1:] if choices else None
+                later_s = sum(stage.imports[name] for name in missing[worker] & elsewhere)
+                choices.append((self._ranks[stage.name] - later_s, worker, stage))
+        return max(choices, key=lambda choice: choice[0])[1:] if choices else None
 
     def _settle(self, stage: Stage, result: TaskResult) -> None:
         """Take the result of a worker."""

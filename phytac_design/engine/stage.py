@@ -86,6 +86,11 @@ def _sensor_of(design: Design) -> Sensor:
     return Sensor(design)
 
 
+MATPLOTLIB = {"matplotlib": 0.5}
+CADQUERY = {"cadquery": 2.0}
+"""Values of ``Stage.imports``: seconds on the machine that costs are stated for."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Stage:
     """One step of a build.
@@ -109,8 +114,8 @@ class Stage:
         Whether it does more where the machine has graphics libraries.
     scene : tuple of str
         Properties of a scene that it reads.
-    imports : frozenset of str
-        Packages that take long to import: it is run by a process that has them, if one is free.
+    imports : mapping
+        Packages that take long to import, and seconds: a process that has them is preferred.
     only_with : str
         Setting of the accuracy preset without which it makes nothing; "" if it always does.
     gate : callable or None
@@ -131,7 +136,7 @@ class Stage:
     seeded: bool = False
     graphics: bool = False
     scene: tuple[str, ...] = ()
-    imports: frozenset[str] = frozenset()
+    imports: Mapping[str, float] = field(default_factory=dict)
     only_with: str = ""
     gate: Callable[[Context], str] | None = None
     finish: Callable[[Design, Path], None] | None = None

@@ -217,10 +217,10 @@ def fit_distance_mm(
         away = np.linalg.norm(lens.project(reach(distance)) - lens.centre_px, axis=1)
         return float(np.nan_to_num(away, nan=100.0 * half).max()) - half
 
-    low, high = least_mm, least_mm
+    low, high, farthest = least_mm, least_mm, 1e6 * least_mm
     while beyond(high) > 0.0:
-        low, high = high, 4.0 * high
-        if high > 1e6 * least_mm:
+        low, high = high, min(4.0 * high, farthest)
+        if low == high:
             raise DesignError(
                 "camera-fit-unreachable",
                 f"no camera distance up to {high:.3g} mm brings the near edge into {fill:g} of the "

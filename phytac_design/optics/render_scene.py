@@ -205,7 +205,8 @@ def build_scene(
     wall_cell_mm : float
         Longest side of the inner face's cells, where it is to move (:mod:`.pressed_scene`).
     hollow : bool
-        Whether receptors have the inside of their holes; a flat end hides as much behind it.
+        Whether receptors have the inside of their holes, and their tips. Without it they end flat,
+        which hides as much behind them while the tips are in.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     on = np.zeros(markers.count, dtype=bool) if switch_on is None else np.asarray(switch_on)
@@ -262,7 +263,7 @@ def _receptors(
     slope = sine / np.maximum(np.abs(np.sum(axis * normal, axis=1)), 1e-12)
     radius, depth = _profile(design, markers.height_mm[chosen], on[chosen], slope)
     foot = depth.shape[1] - 9  # 1 more ring where the tube is wider than the marker
-    if not hollow:
+    if design.has_switches and not hollow:
         radius, depth = radius[:, : foot + 5], depth[:, : foot + 5]
         radius[:, -1], depth[:, -1] = 0.0, depth[:, -2]
     n, rings = depth.shape
@@ -277,7 +278,7 @@ def _receptors(
     paint, red = FIRST_MARKER, FIRST_MARKER + 1
     strips = [(k, k + 1, RESIN) for k in range(foot + 1)]
     strips += [(foot + 1, foot + 2, paint), (foot + 2, foot + 3, paint)]
-    if not hollow:
+    if design.has_switches and not hollow:
         strips.append((foot + 3, foot + 4, RESIN))
     elif design.has_switches:
         inside = ((3, 4, RESIN), (4, 5, RESIN), (6, 7, red), (7, 8, red))

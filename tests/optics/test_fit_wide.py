@@ -73,6 +73,19 @@ def test_fit_is_the_least_distance() -> None:
     barrel = LENS["barrel"]
     best = fit_distance_mm(barrel, lambda d: ring + np.array([0, 0, d]), fill=1.3, least_mm=0.1)
     assert np.arctan(29.2 / best) == pytest.approx(barrel.field_rad, rel=1e-6)
+    far = {"lens": LENS["pinhole"], "fill": 0.9, "least_mm": 1.0}
+    needed = 970.0 / (0.9 * 972.0)  # px over px: the distance of a point one mm off the axis
+    point = np.array([[1.0, 0.0, 0.0]])
+    for share, fits in ((0.999, True), (1.001, False)):
+
+        def reach(distance: float, size: float = share * 1e6 / needed) -> FloatArray:
+            return np.asarray(size * point + np.array([0.0, 0.0, distance]))
+
+        if fits:
+            assert fit_distance_mm(reach=reach, **far) == pytest.approx(share * 1e6)
+        else:
+            with refused("camera-fit-unreachable"):
+                fit_distance_mm(reach=reach, **far)
     with refused("camera-fit-size-invalid"):
         fit_distance_mm(LENS["pinhole"], lambda d: ring + d, fill=0.9, least_mm=0.0)
     with refused("camera-fit-unreachable"):

@@ -107,6 +107,24 @@ def test_flat_ends_hide_what_holes_hide(receptor: dict[str, Any]) -> None:
     np.testing.assert_array_equal(fewer.visible, few.visible)
 
 
+def test_what_reaches_behind_the_camera_hides_markers_too() -> None:
+    """Half of its corners lie behind the plane of a lens that does not need one."""
+    ends: dict[str, Any] = {"from_mm": (10.0, 0.0, -60.0), "to_mm": (10.0, 0.0, 60.0)}
+    rod = {"kind": "cylinder", "name": "rod", "radius_mm": 3.0} | ends
+    layout = {"kind": "straight", "rows": 12, "columns": 16}
+    free, behind = (
+        Bench(make_design(layout=layout, camera=LENSES["fisheye"], fixtures=some))
+        for some in ([], [rod])
+    )
+    without = sampled_fraction(free.scene(), free.camera, rays=1_000_000)
+    scene = behind.scene()
+    alone, visible = exact_counts(scene, behind.camera)
+    whole = sampled_fraction(scene, behind.camera, rays=1_000_000)
+    np.testing.assert_array_equal(whole.alone, alone)
+    np.testing.assert_array_equal(whole.visible, visible)
+    assert (visible < without.visible).sum() >= 3
+
+
 def test_a_dome() -> None:
     case = Bench(load_design("hemisphere"))
     scene = case.scene()

@@ -89,7 +89,7 @@ class MetricLengths:
         """
         v0, v1 = self.surface.domain[1]
         if not self.surface.periodic[1]:
-            return np.asarray((uv[:, 1] - v0) / (v1 - v0) * self.girth_mm(source[:1]))
+            return np.asarray((uv[:, 1] - v0) / (v1 - v0) * self.girth_mm(source[0]))
         away = (uv[:, 1] - source[1] + (v1 - v0) / 2.0) % (v1 - v0) - (v1 - v0) / 2.0
         return np.asarray(away / (v1 - v0) * self.girth_mm((uv[:, 0] + source[0]) / 2.0))
 
@@ -366,7 +366,7 @@ class _Deflections:
     def dents(self, uv: FloatArray, radius_mm: FloatArray) -> list[Deflection]:
         """Deflection by a newton on each of discs (s,)."""
         unrolled = self.unrolled
-        y = unrolled.y_mm(uv, uv.T).reshape(-1)
+        y = unrolled.y_mm(uv, uv.T)
         return deflections_under_discs(self.wall, unrolled.at(uv), unrolled.x_mm(uv), y, radius_mm)
 
     def greatest(self, sources: IntArray) -> tuple[FloatArray, FloatArray]:
