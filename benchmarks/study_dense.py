@@ -1,12 +1,14 @@
 """The densest cylinder that the tool finds, built whole beside the published one."""
 
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table
+from phytac_design.core.figures import new_figure, png
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import code_hash
@@ -15,7 +17,7 @@ from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.study.search.design_space import make_space
 from phytac_design.study.search.driver import run_study
 from phytac_design.study.search.process_pool import ProcessPool
-from phytac_design.study.search.search_report import read_results
+from phytac_design.study.search.search_report import Results, read_results
 from phytac_design.study.search.study_file import Budget, load_study
 from phytac_design.study.search.study_folder import rebuild
 
@@ -24,6 +26,7 @@ STUDIES = {"dense-cylinder": (96, 1200), "dense-cone": (16, None), "dense-hemisp
 WHOLE = ("dense-cylinder", "cylinder60")
 """Built at standard accuracy; the others as drafts."""
 WORKERS = 2
+PICTURE = Path(__file__).parents[1] / "docs" / "images" / "dense-front-cylinder.png"
 
 
 def dense(table: Table, *, name: str, quick: bool) -> None:
@@ -45,15 +48,49 @@ def dense(table: Table, *, name: str, quick: bool) -> None:
         return
     counts = np.where(results.ok, results.columns["marker_count"], 0.0)
     best = int(results.columns["trial"][int(counts.argmax())])
+    _front(table, results, name)
     _built(table, rebuild(out, best), f"{name} trial {best}", asked, number, quick=quick)
     if name == WHOLE[0]:
-        _built(table, load_design(WHOLE[1]), WHOLE[1], None, 0, quick=quick)
+        published = _built(table, load_design(WHOLE[1]), WHOLE[1], None, 0, quick=quick)
+        if not quick:
+            PICTURE.write_bytes(front_picture(results, published))
+
+
+def _front(table: Table, results: Results, name: str) -> None:
+    """Markers against resolution: designs that no other beats in both."""
+    rows = np.flatnonzero(results.front())
+    counts, spread = (results.columns[each] for each in ("marker_count", "force_sd_N"))
+    source = f"{int(results.ok.sum())} candidates that meet all constraints, finite elements"
+    for row in rows[np.argsort(counts[rows])]:
+        case = f"{name}: front, bound of force at 10 N with {counts[row]:.0f} markers"
+        table.add(case, float(spread[row]), "N", "", source)
+
+
+def front_picture(results: Results, published: tuple[float, float]) -> bytes:
+    """PNG of count against resolution: all candidates, the front, and the published counts."""
+    figure = new_figure((6.4, 3.6))
+    axes = figure.add_subplot()
+    counts, spread = (results.columns[each] for each in ("marker_count", "force_sd_N"))
+    dots = {"linestyle": "none", "marker": "o"}
+    axes.plot(counts[results.ok], spread[results.ok], color="#9fb4c8", label="candidates", **dots)
+    best = results.front()
+    axes.plot(counts[best], spread[best], color="#c23b22", label="on the front", **dots)
+    axes.plot(*published, color="black", linestyle="none", marker="D", label="cylinder60")
+    axes.set_xlabel("markers")
+    axes.set_ylabel("bound of force at 10 N, median (N)")
+    axes.set_ylim(0.0, 1.1 * published[1])
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    return png(figure)
 
 
 def _built(
     table: Table, design: Design, label: str, asked: int | None, searched: int, *, quick: bool
-) -> None:
-    """What a build finds: everything that the search assumed, at standard accuracy."""
+) -> tuple[float, float]:
+    """What a build finds: everything that the search assumed, at standard accuracy.
+
+    Returns markers, and their bound of force at 10 N.
+    """
     accuracy = "draft" if quick or not label.startswith(WHOLE) else "standard"
     surface = design.surface()
     context, _, _ = run_stages(
@@ -93,3 +130,4 @@ def _built(
         "N",
         note="contacts anywhere, in simulation",
     )
+    return float(density.count), float(bound["force_N_median"])

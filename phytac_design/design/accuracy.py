@@ -45,8 +45,9 @@ class Accuracy:
         Error of linear theory that is accepted there; 1 always accepts it.
     tools : bool
         Whether a build has all that a sensor is made with: molds, calibration kit, inserts and
-        documents for the workshop, and print rules checked of every printed part. Without, only the
-        shell is checked, and these are made where a build names them.
+        documents for the workshop, and print rules checked of every printed part; and the
+        comparison with straight rows. Without, only the shell is checked, and these are made where
+        a build names them.
     step : bool
         Whether STEP files are written, of the shell, the hardware and their assembly; STL and 3MF
         files always are.

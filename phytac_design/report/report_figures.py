@@ -175,6 +175,8 @@ def error_bars(table: Mapping[str, Mapping[str, Any]], marks: Mapping[str, str])
         axes.bar(place + 0.4 * shift - 0.2, np.nan_to_num(values), 0.38, label=label)
     if shown and max(shown) > 30.0 * min(shown):
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")  # 10, not a power
+        axes.yaxis.set_minor_formatter("")
         axes.set_ylim(min(shown) / 2.0, 2.0 * max(shown))
     axes.set_xticks(place, [name.replace("_", " ") + marks.get(name, "") for name in names])
     axes.set_ylabel("mean relative error (%)")

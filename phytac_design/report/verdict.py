@@ -339,6 +339,8 @@ def _left_out(context: Context) -> list[str]:
         tools = ["molds", "calibration kit", *tools]
     if design.receptor.has_inserts:
         tools = ["inserts", *tools]
+    if design.layout.kind == "spiral":
+        tools = [*tools, "comparison with straight rows"]
     absent = {"step": "STEP files", "tools": ", ".join(tools)}
     without = {name: what for name, what in absent.items() if not getattr(context.accuracy, name)}
     if without:

@@ -66,7 +66,7 @@ def gather(context: Context) -> dict[str, Any]:
         "forced": reasons,
         "changes": changes_of(context, reasons, well),
         "visibility": views["visibility"],
-        "straight": context.facts("compare")["straight"],
+        "straight": context.facts("compare").get("straight"),
         "under_load": context.facts("underload"),
         "resolution": context.facts("resolution"),
         "camera": {

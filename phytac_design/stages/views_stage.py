@@ -257,4 +257,10 @@ VIEWS = Stage(
     gate=told_apart,
     run=run_views,
 )
-COMPARE = Stage(name="compare", design_fields=("pictures",), seeded=True, run=run_compare)
+COMPARE = Stage(
+    name="compare",
+    design_fields=("pictures",),
+    seeded=True,
+    only_with="tools",
+    run=run_compare,
+)

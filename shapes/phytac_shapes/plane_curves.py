@@ -25,6 +25,10 @@ class Line:
         return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
 
     @cached_property
+    def _start(self) -> FloatArray:
+        return np.array(self.start)
+
+    @cached_property
     def _heading(self) -> FloatArray:
         return np.asarray(np.subtract(self.end, self.start) / self.length)
 
@@ -37,11 +41,11 @@ class Line:
         """Points and headings (n, 2) at distances s (n,) from the start."""
         heading = np.empty((len(s), 2))
         heading[:] = self._heading
-        return self.start + s[:, None] * self._heading, heading
+        return self._start + s[:, None] * self._heading, heading
 
     def foot(self, points: FloatArray) -> FloatArray:
         """Distance from the start (n,) of the foot of each point (n, 2); not clamped."""
-        return np.asarray((points - self.start) @ self._heading)
+        return np.asarray((points - self._start) @ self._heading)
 
 
 @dataclass(frozen=True, kw_only=True)

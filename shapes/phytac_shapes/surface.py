@@ -92,7 +92,10 @@ class Surface(ABC):
     def metric(self, uv: FloatArray) -> FloatArray:
         """First fundamental form, (n, 2, 2), mm² per squared chart unit."""
         tangents = self.tangents(uv)
-        return np.asarray(np.einsum("nai,nbi->nab", tangents, tangents))
+        u, v = tangents[:, 0].T, tangents[:, 1].T
+        # Faster than einsum by far, which adds up three numbers at a time.
+        e, f, g = (a[0] * b[0] + a[1] * b[1] + a[2] * b[2] for a, b in ((u, u), (u, v), (v, v)))
+        return np.stack([e, f, f, g], axis=1).reshape(-1, 2, 2)
 
     def bounds_mm(self) -> FloatArray:
         """Corners [[x0, y0, z0], [x1, y1, z1]] of a box around the outer face (sampled), mm."""

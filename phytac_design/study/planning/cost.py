@@ -192,8 +192,8 @@ def features(
         "switch": {"one": 1.0, "markers": n},
         "compare": {
             "one": 1.0,
-            "pixels": pixels * (design.layout.kind == "spiral"),
-            "markers": n,
+            "pixels": pixels * (design.layout.kind == "spiral") * tools,
+            "markers": n * tools,
         },
         "underload": {
             "one": 1.0,

@@ -21,10 +21,10 @@ from phytac_shapes.errors import DesignError
 
 Progress = Callable[[str], None]
 GROUPS = (
-    ("views", "switch", "compare"),
+    ("views", "switch"),
     ("mesh", "response", "resolution", "places"),
     ("underload", "pressed"),
-    ("shell", "step", "hardware", "mold", "kit", "inserts", "printing", "bench"),
+    ("shell", "step", "hardware", "mold", "kit", "inserts", "printing", "bench", "compare"),
     ("twin", "decoder"),
     ("renders", "frames", "report"),
 )

@@ -18,8 +18,8 @@ from phytac_design.study.tradeoff.pilot import visibility_error
 from phytac_design.study.tradeoff.points import Point, Points
 
 Settings = Mapping[str, Any]
-FIXED = "views,switch,compare,pressed,report"
-CAD = "shell,step,hardware,mold,kit,inserts,printing,bench"
+FIXED = "views,switch,pressed,report"
+CAD = "shell,step,hardware,mold,kit,inserts,printing,bench,compare"
 MECHANICS = "mesh,response,resolution,places"
 LOAD = "underload"
 SCORE = "twin,decoder,renders,frames"
