@@ -19,6 +19,7 @@ from phytac_design.design.design_file import to_toml
 from phytac_design.engine import cache, runner
 from phytac_design.engine.runner import StageCosts, StageRun
 from phytac_design.engine.stage import Context, Stage
+from phytac_design.stages import STAGES
 from phytac_design.stages.build import run_stages
 from tests.designs import COARSE, tiny
 from tests.refusals import refused
@@ -215,9 +216,16 @@ def test_the_longest_way_to_the_end_starts_first() -> None:
         assert stage_run(stages, keep, costs, [])._next(stages, [0]) == (0, stages[1])
 
 
-def test_packages_are_imported_by_one_worker_while_others_have_work() -> None:
+def test_packages_that_stages_import_are_known() -> None:
+    assert {name for stage in STAGES for name in stage.imports} == runner.IMPORT_s.keys()
+
+
+def test_packages_are_imported_by_one_worker_while_others_have_work(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(runner, "IMPORT_s", {"slow": 1.5})
     a, b, c = graph(a=(add, ""), b=(add, ""), c=(add, ""))
-    a, b = (replace(stage, imports={"slow": 1.5}) for stage in (a, b))
+    a, b = (replace(stage, imports=("slow",)) for stage in (a, b))
     costs = StageCosts(seconds={"a": 3.0, "b": 2.0, "c": 1.0}, memory_MB={})
     with ExitStack() as keep:
         some = stage_run([a, b, c], keep, costs, [])

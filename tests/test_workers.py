@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.core.workers import For, TaskResult, WorkerPool
+from phytac_design.core.workers import Assigned, TaskResult, WorkerPool
 from phytac_shapes.errors import DesignError
 from tests.refusals import refused
 
@@ -110,19 +110,19 @@ def test_processes_are_kept_or_replaced_and_have_one_thread() -> None:
 def test_tasks_for_a_certain_worker() -> None:
     with WorkerPool(process_id, workers=2) as pool:
         assert pool.free() == [0, 1]
-        found = sorted(pool.run([For(1, "a"), For(0, "b")]), key=lambda r: r.index)
-        again = [r.value for r in pool.run([For(1, "c")])] + [
-            r.value for r in pool.run([For(0, "d")])
+        found = sorted(pool.run([Assigned(1, "a"), Assigned(0, "b")]), key=lambda r: r.index)
+        again = [r.value for r in pool.run([Assigned(1, "c")])] + [
+            r.value for r in pool.run([Assigned(0, "d")])
         ]
     assert again == [r.value for r in found]
     assert len(set(again)) == 2
     with WorkerPool(sleep, workers=2) as pool, pytest.raises(ValueError, match="1 is not free"):
-        list(pool.run([For(1, 0.0), For(1, 0.0)]))
+        list(pool.run([Assigned(1, 0.0), Assigned(1, 0.0)]))
 
 
 def test_a_worker_that_takes_the_place_of_another_has_another_number(tmp_path: Path) -> None:
     with WorkerPool(die_once, workers=1) as pool:
-        assert [r.value for r in pool.run([For(0, tmp_path / "a")])] == [1]
+        assert [r.value for r in pool.run([Assigned(0, tmp_path / "a")])] == [1]
         assert pool.free() == [1]
 
 

@@ -153,7 +153,7 @@ class WorkerPool:
         ----------
         tasks : iterable
             None among them: no other task is ready before the next result has arrived. A
-            :class:`For` among them goes to a certain one of the workers in :meth:`free`. Neither
+            :class:`Assigned` one goes to a certain one of the workers in :meth:`free`. Neither
             is for ``workers = 0``.
         note : callable
             Called with the index of a task and what its worker passed to :func:`send_note`.
@@ -195,8 +195,7 @@ class WorkerPool:
                 raise ValueError(f"worker {number} is not free")
             if number in self._unused:
                 self._unused.remove(number)
-                made = _Process(self.start, self.arguments, self.work, number)
-                self._processes.append(made)
+                self._processes.append(_Process(self.start, self.arguments, self.work, number))
             process = next(each for each in self._processes if each.number == number)
             process.give(task, self.time_limit_s)
         return [process for process in self._processes if process.task]
@@ -213,8 +212,8 @@ class WorkerPool:
         self._count += 1
 
 
-class For(NamedTuple):
-    """A task for a certain worker of :meth:`WorkerPool.free`, or for any."""
+class Assigned(NamedTuple):
+    """A task for a certain worker of :meth:`WorkerPool.free`, or for any (None)."""
 
     worker: int | None
     task: Any
@@ -236,8 +235,8 @@ def _numbered(tasks: Iterable[Any]) -> Iterator["_Task | None"]:
         if task is None:
             yield None
         else:
-            placed = task if isinstance(task, For) else For(None, task)
-            yield _Task(index, placed.task, placed.worker)
+            given = task if isinstance(task, Assigned) else Assigned(None, task)
+            yield _Task(index, given.task, given.worker)
             index += 1
 
 

@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.core.machine import available_memory_MB, release_memory
-from phytac_design.core.workers import For, TaskResult, WorkerPool, send_note
+from phytac_design.core.workers import Assigned, TaskResult, WorkerPool, send_note
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage, array_hashes
 from phytac_shapes.errors import DesignError, NumericalError
+
+IMPORT_s = {"cadquery": 2.0, "matplotlib": 0.5}
+"""Packages that take long to import, and seconds, on the machine that costs are stated for."""
 
 
 class GateError(DesignError):
@@ -170,7 +173,7 @@ class StageRun:
     def _run_side_by_side(self, stages: Sequence[Stage]) -> None:
         given: list[StageTask] = []
 
-        def tasks() -> Iterator[For | None]:
+        def tasks() -> Iterator[Assigned | None]:
             while any(stage.name not in self.context.folders for stage in stages):
                 choice = self._next(stages, pool.free())
                 if choice is None:
@@ -181,7 +184,7 @@ class StageRun:
                 if stage.makes(self.context.accuracy):
                     self._imported.setdefault(worker, set()).update(stage.imports)
                 given.append(self._task(stage, print))
-                yield For(worker, given[-1])
+                yield Assigned(worker, given[-1])
 
         self._imported.clear()
         try:
@@ -202,8 +205,8 @@ class StageRun:
     def _next(self, stages: Sequence[Stage], free: Sequence[int]) -> tuple[int, Stage] | None:
         """Worker and stage to run next; None if all that are ready run, or must wait for memory.
 
-        A stage whose packages only a busy worker has imported comes as much later as another one
-        would take to import them.
+        A worker that has imported a stage's packages is preferred. If only busy ones have, the
+        stage's rank falls by the seconds that it takes to import them again.
         """
         folders = self.context.folders
         while True:
@@ -224,10 +227,10 @@ class StageRun:
         elsewhere, choices = set[str]().union(*busy), []
         for stage in ready:
             if not self._begun or taken_MB + self._peak_MB(stage.name) <= self._limit_MB:
-                missing = {k: stage.imports.keys() - self._imported.get(k, set()) for k in free}
+                missing = {k: set(stage.imports) - self._imported.get(k, set()) for k in free}
                 worker = min(free, key=lambda k: len(missing[k]))
-                later_s = sum(stage.imports[name] for name in missing[worker] & elsewhere)
-                choices.append((self._ranks[stage.name] - later_s, worker, stage))
+                again_s = sum(IMPORT_s[name] for name in missing[worker] & elsewhere)
+                choices.append((self._ranks[stage.name] - again_s, worker, stage))
         return max(choices, key=lambda choice: choice[0])[1:] if choices else None
 
     def _settle(self, stage: Stage, result: TaskResult) -> None:

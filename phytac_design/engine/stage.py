@@ -86,11 +86,6 @@ def _sensor_of(design: Design) -> Sensor:
     return Sensor(design)
 
 
-MATPLOTLIB = {"matplotlib": 0.5}
-CADQUERY = {"cadquery": 2.0}
-"""Values of ``Stage.imports``: seconds on the machine that costs are stated for."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Stage:
     """One step of a build.
@@ -114,8 +109,8 @@ class Stage:
         Whether it does more where the machine has graphics libraries.
     scene : tuple of str
         Properties of a scene that it reads.
-    imports : mapping
-        Packages that take long to import, and seconds: a process that has them is preferred.
+    imports : tuple of str
+        Packages of :data:`.runner.IMPORT_s` that it imports.
     only_with : str
         Setting of the accuracy preset without which it makes nothing; "" if it always does.
     gate : callable or None
@@ -136,7 +131,7 @@ class Stage:
     seeded: bool = False
     graphics: bool = False
     scene: tuple[str, ...] = ()
-    imports: Mapping[str, float] = field(default_factory=dict)
+    imports: tuple[str, ...] = ()
     only_with: str = ""
     gate: Callable[[Context], str] | None = None
     finish: Callable[[Design, Path], None] | None = None

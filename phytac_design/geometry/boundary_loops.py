@@ -73,6 +73,7 @@ def edge_distance_mm(
     From the nearest of many stations, by Gauss-Newton along the edge. Distances beyond
     ``within_mm`` are those from the stations: a little too large.
     """
+    # Points near the edge converge from few stations, and are not mistaken for another part of it.
     stations, iterations = 1025 if within_mm == np.inf else 257, 5
     low, high = surface.domain[1 - axis]
     points = surface.point(uv)

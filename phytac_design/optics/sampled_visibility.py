@@ -39,7 +39,7 @@ def sampled_fraction(scene: RenderScene, camera: Camera, *, rays: int = 64) -> S
     band = 32  # markers that a thread takes at a time; near ones cost more than far ones
     chunk = 32  # pieces of the fixed parts that are skipped together where they are far away
     view = project_scene(scene, camera, rays=np.empty((0, 0, 3)))
-    straight = isinstance(camera.lens, Pinhole)
+    pinhole = isinstance(camera.lens, Pinhole)
     chosen, starts = pieces_by_marker(scene, view)
     code = scene.part[view.source[chosen]]
     is_paint = (code >= FIRST_MARKER) & (code % 2 == FIRST_MARKER % 2)
@@ -48,21 +48,21 @@ def sampled_fraction(scene: RenderScene, camera: Camera, *, rays: int = 64) -> S
     grids = _grids(windows, _steps(view, chosen[is_paint], before[starts], rays))
     first = np.concatenate([[0], np.cumsum(grids[:, 3] * grids[:, 4])])
     directions = np.empty((0, 3))
-    if not straight:
+    if not pinhole:
         directions = _directions(camera, grids, int(first[-1]))
     # Pieces that are looked at together: chunks of the fixed parts, then each receptor.
     bounds = np.concatenate([np.arange(0, starts[0], chunk), starts])
     boxes = np.empty((len(bounds) - 1, 5))
 
     def measure(low: int, high: int) -> None:
-        _boxes(view, straight, chosen, bounds[low : high + 1], boxes[low:high])
+        _boxes(view, pinhole, chosen, bounds[low : high + 1], boxes[low:high])
 
     in_bands(measure, len(boxes))
     counts = np.zeros((scene.count, 2), dtype=np.int64)
     size = np.array([camera.width_px, camera.height_px])
 
     def some(low: int, high: int) -> None:
-        _count(view, straight, chosen, bounds, boxes, low, grids, first, directions, scene.part,
+        _count(view, pinhole, chosen, bounds, boxes, low, grids, first, directions, scene.part,
                size, counts[low:high])  # fmt: skip
 
     in_bands(some, scene.count, band_rows=band)
@@ -115,13 +115,13 @@ def _directions(camera: Camera, grids: IntArray, count: int) -> FloatArray:
 
 
 @kernel
-def _nearest(view: View, straight: bool, piece: int) -> float:
+def _nearest(view: View, pinhole: bool, piece: int) -> float:
     """Upper bound of the inverse depth of a piece's pixels, as :func:`fill` measures it, 1/mm.
 
-    ``straight`` says whether the lens keeps lines straight: the scene then ends before its plane.
+    The scene of a pinhole is cut before its plane, so that all depths are positive.
     """
     p, q, r = corner(view, piece, 0), corner(view, piece, 1), corner(view, piece, 2)
-    if straight:
+    if pinhole:
         return 1.0 / min(p[2], q[2], r[2])
     # No point of a triangle is farther from a corner than the other two are.
     far = max(_distance(p, q), _distance(p, r))
@@ -137,7 +137,7 @@ def _distance(p: Point, q: Point) -> float:
 @kernel
 def _boxes(
     view: View,
-    straight: bool,
+    pinhole: bool,
     chosen: NDArray[np.int32],
     bounds: IntArray,
     boxes: FloatArray,
@@ -148,14 +148,14 @@ def _boxes(
         for piece in chosen[bounds[g] : bounds[g + 1]]:
             a, b, c, d = reach(view, piece)
             x0, y0, x1, y1 = min(x0, a), min(y0, b), max(x1, c), max(y1, d)
-            near = max(near, _nearest(view, straight, piece))
+            near = max(near, _nearest(view, pinhole, piece))
         boxes[g, 0], boxes[g, 1], boxes[g, 2], boxes[g, 3], boxes[g, 4] = x0, y0, x1, y1, near
 
 
 @kernel
 def _gather(
     view: View,
-    straight: bool,
+    pinhole: bool,
     chosen: NDArray[np.int32],
     bounds: IntArray,
     boxes: FloatArray,
@@ -183,7 +183,7 @@ def _gather(
             if (
                 meets(x0, x1, left, step, columns)
                 and meets(y0, y1, top, step, rows)
-                and _nearest(view, straight, piece) >= farthest
+                and _nearest(view, pinhole, piece) >= farthest
             ):
                 near[count] = piece
                 count += 1
@@ -207,7 +207,7 @@ def _farthest(
 @kernel
 def _count(
     view: View,
-    straight: bool,
+    pinhole: bool,
     chosen: NDArray[np.int32],
     bounds: IntArray,
     boxes: FloatArray,
@@ -238,7 +238,7 @@ def _count(
         depth = np.zeros((rows, columns))
         fill(here, chosen[bounds[own] : bounds[own + 1]], grid, alone, depth)
         farthest = _farthest(alone, depth, codes, paint)
-        found = _gather(view, straight, chosen, bounds, boxes, grids[i], farthest, own, near)
+        found = _gather(view, pinhole, chosen, bounds, boxes, grids[i], farthest, own, near)
         other = np.full((rows, columns), -1, dtype=np.int32)
         front = np.zeros((rows, columns))
         # In the scene's order: of equal depths the first wins, as in the full image.

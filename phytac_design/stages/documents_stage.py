@@ -7,15 +7,7 @@ from typing import Any
 from phytac_design.core.figures import pdf, svg
 from phytac_design.design.spec import Design
 from phytac_design.design.switch_table import BEST
-from phytac_design.engine.stage import (
-    EXPORT,
-    MATPLOTLIB,
-    Context,
-    Stage,
-    export_path,
-    write_facts,
-    write_text,
-)
+from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.documents import bill_of_materials as bill
 from phytac_design.fabrication.documents.assembly_page import assembly_html, fixture_steps
 from phytac_design.fabrication.documents.exploded import (
@@ -198,6 +190,6 @@ BENCH = Stage(
     settings=("cad_tolerance_mm",),
     depends_on=("shell", "switch", "printing", *OTHERS),
     only_with="tools",
-    imports=MATPLOTLIB,
+    imports=("matplotlib",),
     run=run,
 )

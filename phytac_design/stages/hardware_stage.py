@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.design.hardware_table import HardwareSection
-from phytac_design.engine.stage import CADQUERY, Context, Stage, export_path, write_facts
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.fabrication.hardware.assembly_checks import hardware_facts, verdict
 from phytac_design.fabrication.hardware.by_cad import (
     CadKernel,
@@ -151,6 +151,6 @@ HARDWARE = Stage(
     settings=("cad_tolerance_mm", "step"),
     depends_on=("switch", "step"),
     graphics=True,
-    imports=CADQUERY,
+    imports=("cadquery",),
     run=run,
 )

@@ -6,15 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.engine.stage import (
-    EXPORT,
-    MATPLOTLIB,
-    Context,
-    Stage,
-    export_path,
-    write_facts,
-    write_text,
-)
+from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.printing.overhang import suggest
 from phytac_design.fabrication.printing.parting import part_shell
 from phytac_design.fabrication.printing.print_checks import check_body, check_shell
@@ -123,6 +115,6 @@ PRINTING = Stage(
     design_fields=("name", "tubes", "wall", "receptor", "print_rules"),
     settings=("cad_tolerance_mm", "tools"),
     depends_on=("shell", *OTHERS),
-    imports=MATPLOTLIB,
+    imports=("matplotlib",),
     run=run,
 )

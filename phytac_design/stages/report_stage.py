@@ -11,14 +11,7 @@ from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import assumptions
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
-from phytac_design.engine.stage import (
-    MATPLOTLIB,
-    Context,
-    Stage,
-    export_path,
-    write_facts,
-    write_text,
-)
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.effort.effort import effort_of
 from phytac_design.optics.separability import check_paints
 from phytac_design.report.explorer import DATA_ID, explorer_data
@@ -159,6 +152,6 @@ REPORT = Stage(
         "renders",
         "frames",
     ),
-    imports=MATPLOTLIB,
+    imports=("matplotlib",),
     run=run,
 )

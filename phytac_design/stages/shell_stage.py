@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from phytac_design.engine.stage import CADQUERY, Context, Stage, export_path, write_facts
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.solids.cad import cad_facts, shell_cad, write_solid, write_step
 from phytac_design.solids.mesh_export import write_3mf, write_stl
 from phytac_design.solids.mesh_facts import shell_facts
@@ -110,6 +110,6 @@ STEP = Stage(
     depends_on=("shell",),
     graphics=True,
     only_with="step",
-    imports=CADQUERY,
+    imports=("cadquery",),
     run=run_step,
 )

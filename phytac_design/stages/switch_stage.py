@@ -7,14 +7,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.core.json_values import finite
-from phytac_design.engine.stage import (
-    MATPLOTLIB,
-    Context,
-    Stage,
-    export_path,
-    write_facts,
-    write_text,
-)
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts, write_text
 from phytac_design.fabrication.documents.bill_of_materials import family_words
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches, revolved_volume_mm3
 from phytac_design.layout.thresholds import thresholds_N
@@ -149,6 +142,6 @@ SWITCH = Stage(
         "trips",
     ),
     gate=refusal,
-    imports=MATPLOTLIB,
+    imports=("matplotlib",),
     run=run,
 )

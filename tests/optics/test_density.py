@@ -6,7 +6,7 @@ import pytest
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.optics.density import density_map, density_of
-from phytac_design.study.search.fidelity_levels import MAP
+from phytac_design.study.search.fidelity_levels import DENSITY_MAP
 from tests.designs import changed
 from tests.test_layout_shapes import designed
 
@@ -44,7 +44,7 @@ def test_few_cells_of_a_strip_share_its_area(length: float) -> None:
         shape_more={"height_mm": length, "width_mm": 4000.0 / length},
     )  # fmt: skip
     surface = design.surface()
-    local = density_map(surface, make_markers(design, surface), **MAP)
+    local = density_map(surface, make_markers(design, surface), **DENSITY_MAP)
     assert len(local.area_mm2) < 2500
     assert local.cell_cm2 == pytest.approx(0.25, rel=0.03)
     assert local.per_cm2 == pytest.approx(4.0, rel=0.02)

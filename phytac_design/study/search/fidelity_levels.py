@@ -134,7 +134,7 @@ def sampled_fractions(sensor: Sensor, *, coarse: float = 2.5) -> FloatArray:
     return np.stack(fractions)
 
 
-MAP = {"cells": 2000, "each": 12}
+DENSITY_MAP = {"cells": 2000, "per_marker": 12}
 """Cells of the search's map of densities.
 
 On 90 cylinders, cones and domes the least density was within 2 % of that by 400 cells a marker.
@@ -155,7 +155,7 @@ def sampled(candidate: Candidate) -> Measures:
         "sampled_visible_least": float(fraction.min()),
         "sampled_hidden": int((fraction < FRACTION_MIN).sum()),
         "sampled_gap_px": outlined_gap_px(candidate.sensor, fractions.argmax(axis=0)),
-        "density_least_per_cm2": density_of(surface, markers, **MAP).local_min_per_cm2,
+        "density_least_per_cm2": density_of(surface, markers, **DENSITY_MAP).local_min_per_cm2,
         "surrogate_force_sd_N": float(np.median(bound.force_N)),
         "surrogate_force_sd_worst_N": float(bound.force_N.max()),
         "surrogate_place_sd_mm": float(np.median(np.maximum(bound.along_mm, bound.around_mm))),

@@ -7,7 +7,7 @@ from phytac_design.optics.density import density_of
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.rules.check import check_design
-from phytac_design.study.search.fidelity_levels import MAP, sampled_fractions, tolerance_mm
+from phytac_design.study.search.fidelity_levels import DENSITY_MAP, sampled_fractions, tolerance_mm
 
 
 def test_coarse_fractions_and_densities_are_near_fine_ones() -> None:
@@ -21,5 +21,5 @@ def test_coarse_fractions_and_densities_are_near_fine_ones() -> None:
     ]
     assert errors[0] < errors[1] < 0.006 < errors[2]
     many = density_of(sensor.surface, sensor.markers).local_min_per_cm2
-    few = density_of(sensor.surface, sensor.markers, **MAP).local_min_per_cm2
+    few = density_of(sensor.surface, sensor.markers, **DENSITY_MAP).local_min_per_cm2
     assert 0.0 < abs(few / many - 1.0) < 0.03
