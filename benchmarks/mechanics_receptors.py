@@ -153,7 +153,7 @@ def whole_prototype(table: Table) -> None:
     table.add(f"{name}: CAD, mesh and CalculiX", seconds, "s", reference="-", source=CCX)
     table.add(f"{name}: memory of CalculiX", memory, "GB", reference="-", source=CCX)
     place = ContactPatch(uv=uv, radius_mm=radius, force_N=1.0)
-    for refine in (4, 12):
+    for refine in (4, 6):
         for receptors, how, target in (
             (False, "plain shell", None),
             (True, "shell with receptors", "<= 5"),

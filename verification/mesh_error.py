@@ -21,6 +21,7 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import NumericalError
 from verification import shells
 from verification.designs import SHAPES, design_of
 from verification.shells import (
@@ -75,9 +76,11 @@ class Judgement:
     elements : int
         Elements a side.
     true, uncertainty : float
-        True error, and how well it is known.
+        True error of the motion on the finest mesh, and how well it is known.
+    extrapolated : float
+        True error of the extrapolated motion.
     claimed : float
-        Claimed error.
+        Claimed error of both.
     rate : float
         Measured rate.
     asymptotic : bool
@@ -87,6 +90,7 @@ class Judgement:
     elements: int
     true: float
     uncertainty: float
+    extrapolated: float
     claimed: float
     rate: float
     asymptotic: bool
@@ -108,7 +112,7 @@ class Judgement:
 
 
 def judge(case: ErrorCase) -> list[Judgement]:
-    """Compare claims with the truth on each mesh of a case."""
+    """Compare claims with the truth on each mesh of a case that is not refused as too irregular."""
 
     def corrected(mesh: Sides) -> FloatArray:
         part = case.make(mesh)
@@ -123,12 +127,18 @@ def judge(case: ErrorCase) -> list[Judgement]:
     size = largest(truth)
     out = []
     for n in case.elements:
-        found = estimate_error(case.make, (n, n // 2, n // 4))
+        try:
+            found = estimate_error(case.make, (n, n // 2, n // 4))
+        except NumericalError as error:
+            if error.code != "mesh-distorted":
+                raise
+            continue
         out.append(
             Judgement(
                 elements=n,
                 true=largest(truth - found.motion) / size,
                 uncertainty=largest(fine - half) / 3.0 / size,
+                extrapolated=largest(truth - found.extrapolated) / size,
                 claimed=float(found.relative[0]),
                 rate=float(found.rate[0]),
                 asymptotic=bool(found.asymptotic[0]),

@@ -5,6 +5,7 @@ from typing import Any
 
 from verification.case import Case, Cases, Evidence, Recorder, verify
 from verification.mesh_error import FACTOR_MAX, error_cases, judge
+from verification.press_error import DESIGNS, PressedDesign
 
 
 def check_claims(values: Mapping[str, Any], found: Evidence) -> None:
@@ -19,11 +20,22 @@ def check_claims(values: Mapping[str, Any], found: Evidence) -> None:
     found.true("every claim is positive", [value > 0.0 for value in found.facts.values()])
 
 
+def check_presses(values: Mapping[str, Any], found: Evidence) -> None:
+    """Extrapolated motion is within three times the claimed error, and nearly always within it."""
+    design = PressedDesign(values["design"])
+    for what, errors in (("presses", design.linear()), ("tables", design.tables())):
+        factor = errors.extrapolated / errors.claimed
+        found.add(f"{what}: true over claimed error, largest", float(factor.max()), FACTOR_MAX)
+        found.add(f"{what}: presses beyond the claimed error", float((factor > 1.0).sum()), 1.0)
+
+
 def cases() -> Cases:
     """Hyperbolic paraboloids, published shells, plates, sensors."""
     out = Cases()
     for case in error_cases():
         out.add(case.name, check_claims, case=case)
+    for name in DESIGNS:
+        out.add(f"presses on {name}", check_presses, design=name)
     return out
 
 

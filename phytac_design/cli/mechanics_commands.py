@@ -28,6 +28,15 @@ RadiusOption = Annotated[
 RefineOption = Annotated[
     int, typer.Option(help="Number of shell elements per marker pitch.", min=1, max=32)
 ]
+PressRefineOption = Annotated[
+    int,
+    typer.Option(
+        help="Number of shell elements per marker pitch; linear motion is extrapolated from twice "
+        "and half as many.",
+        min=1,
+        max=16,
+    ),
+]
 
 
 def press(
@@ -42,7 +51,7 @@ def press(
         ),
     ] = "auto",
     tolerance: Annotated[float, typer.Option(help="Accepted error of linear theory, %.")] = 5.0,
-    refine: RefineOption = 4,
+    refine: PressRefineOption = 4,
     receptors: Annotated[
         bool, typer.Option(help="Include the stiffness of tubes and holes in the wall.")
     ] = True,

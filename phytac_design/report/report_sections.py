@@ -334,6 +334,12 @@ def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing
         "deepest dent (mm)": load["dent_mm"],
         "receptors stiffen the wall": report["response"]["receptors"],
         "nodes of the decoder's mesh": report["response"]["nodes"],
+        "error of linear tables because of the mesh, median of places, at most (%)": _percent(
+            report["places"].get("mesh_error")
+        ),
+        "the same, of the worst place, at most (%)": _percent(
+            report["places"].get("mesh_error_largest")
+        ),
         "condition number of its compliance": report["condition_compliance"],
         "smallest image shift of a marker for inward motion (px/mm)": report["response"][
             "sensitivity_px_mm_least"
@@ -351,6 +357,10 @@ def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing
             figure_names.facts(report["mesh"], "mesh"), figure_names.facts(report["shell"], "shell")
         )
     )
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
 
 
 def switch_section(context: Context, report: Mapping[str, Any]) -> str:

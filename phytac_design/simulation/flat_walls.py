@@ -24,6 +24,7 @@ from scipy.sparse.linalg import splu
 from phytac_decoder.mechanics.membrane_stretching import BergerWall
 from phytac_decoder.mechanics.response_table import FLAT_COSINE_DROP, ResponseTable
 from phytac_design.mechanics.large.corotational import Corotational
+from phytac_design.mechanics.shell.discretisation import force_ratio
 from phytac_design.mechanics.shell.factor import SUPERLU
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
@@ -167,8 +168,12 @@ def add_membrane_walls(
     modes = max(table.slope.shape[2] for table in tables)
     slopes = np.zeros((len(uv), places.orders, modes), dtype=np.float32)
     for (own, _), table, give in zip(found, tables, gives, strict=True):
-        rows[own] = np.moveaxis(table.image[1:], 0, 1)
-        slopes[own, :, : table.slope.shape[2]] = np.sqrt(give) * np.moveaxis(table.slope, 0, 1)
+        # Places whose linear part is extrapolated are softer than this mesh.
+        linear = zip(places.shift_px[own, 0], table.image[0], strict=True)
+        ratio = np.array([force_ratio(*each) for each in linear])[:, None, None]
+        rows[own] = ratio * np.moveaxis(table.image[1:], 0, 1)
+        slope = np.sqrt(give) * ratio * np.moveaxis(table.slope, 0, 1)
+        slopes[own, :, : slope.shape[2]] = slope
     whole = np.concatenate([places.shift_px, rows], axis=1)
     walls = BergerWall(wall=number, slopes=slopes, most=SETTINGS.lost_softness_max)
     return replace(places, shift_px=whole, walls=walls), gives

@@ -17,6 +17,7 @@ from phytac_design.layout import Markers
 from phytac_design.layout.cameras import Readers
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.discretisation import SETTINGS, force_ratio
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
@@ -237,6 +238,12 @@ class ExtrapolatedResponse:
         The sensor.
     pair : MeshPair
         Its shell.
+
+    Attributes
+    ----------
+    claimed : list of float
+        Of each disc so far, how far its motion may be off because of the meshes, relative: root
+        mean square over the receptors, three times what the extrapolation changed.
     """
 
     def __init__(self, design: Design, surface: Surface, markers: Markers, pair: MeshPair) -> None:
@@ -247,14 +254,38 @@ class ExtrapolatedResponse:
             DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
             for mesh, model in pair
         ]
+        self.claimed: list[float] = []
 
     def motions(self, uv: FloatArray, radius_mm: float) -> list[list[FloatArray]]:
         """Return for each place (c, 2) the motion (n, 6) per newton, see ``DiscResponse``."""
         fine, coarse = (each.motions(uv, radius_mm) for each in self.each)
-        return [
-            [one + self.share * (one - other) for one, other in zip(a, b, strict=True)]
-            for a, b in zip(fine, coarse, strict=True)
-        ]
+        out = []
+        for (one,), (other,) in zip(fine, coarse, strict=True):
+            change = self.share * (one - other)
+            out.append([one + change])
+            size = float(np.linalg.norm(out[-1][0][:, :3]))
+            change_size = float(np.linalg.norm(change[:, :3]))
+            self.claimed.append(SETTINGS.safety_outside * change_size / max(size, 1e-300))
+        return out
+
+
+def scaled_powers(rows: FloatArray, first: FloatArray) -> FloatArray:
+    """Rows of the powers of the force on one mesh, with the first power of a finer one.
+
+    A finer mesh is softer: it moves as a coarser one does under a force that is larger by the ratio
+    of their linear motions. So the k-th power grows with the k-th power of that ratio.
+
+    Parameters
+    ----------
+    rows : (k, 2n) float
+        Shifts by the powers of the force.
+    first : (2n,) float
+        The first of them, on the finer mesh.
+    """
+    ratio = force_ratio(first, rows[0])
+    out = rows * ratio ** np.arange(1, len(rows) + 1)[:, None]
+    out[0] = first
+    return np.asarray(out)
 
 
 class ImageResponse:

@@ -37,6 +37,7 @@ from phytac_design.simulation.pressed_series import (
     ExtrapolatedResponse,
     ImageResponse,
     MeshPair,
+    scaled_powers,
 )
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -98,6 +99,9 @@ class TabulatedResponse:
         linear ones stand there.
     give : list of float
         How far the edges of each flat wall hold it, see :mod:`walls`; 1 where they hold still.
+    claimed : list of float
+        Claimed error of the linear motion because of the meshes, at each place solved
+        (:class:`.pressed_series.ExtrapolatedResponse`); none where it is not extrapolated.
     """
 
     places: ResponseTable
@@ -107,6 +111,7 @@ class TabulatedResponse:
     unsure: int
     spacing_mm: float
     give: list[float]
+    claimed: list[float]
 
 
 def rings(surface: Surface, spacing_mm: float, sectors: int) -> PlaceRings:
@@ -276,7 +281,7 @@ def tabulate_responses(
         Which places are wanted; all without it.
     pair : MeshPair, optional
         Two meshes that the first power of the force is extrapolated from; that of ``mesh`` without.
-        All else is that of ``mesh``.
+        The higher powers are those of ``mesh``, scaled (:func:`.pressed_series.scaled_powers`).
     bytes_max : float
         Largest tables; places stand wider apart where they would be larger.
 
@@ -309,10 +314,12 @@ def tabulate_responses(
         progress=progress,
     )
     first = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
-    pressed = first if pair is None else ExtrapolatedResponse(design, surface, markers, pair)
+    extrapolated = ExtrapolatedResponse(design, surface, markers, pair) if pair else None
+    pressed = extrapolated or first
     places, uv, solves = grid.table(
         spacing, 1, lambda at: pressed.motions(at, radius), lambda each: see.powers(each, NONE)
     )
+    claimed = list(extrapolated.claimed) if extrapolated else []
 
     def shear(apart_mm: float) -> ResponseTable:
         """Linear shifts by a newton along and around."""
@@ -337,6 +344,7 @@ def tabulate_responses(
             unsure=0,
             spacing_mm=spacing,
             give=[],
+            claimed=claimed,
         )
     shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=orders)
     unsure = 0
@@ -349,6 +357,10 @@ def tabulate_responses(
     higher, _, bent = grid.table(
         apart, orders, lambda at: shell.motions(at, radius), powers, what=", large displacements"
     )
+    if extrapolated:
+        linear = interpolate_responses(places, higher.point_mm)[:, 0]
+        rows = [scaled_powers(*each) for each in zip(higher.shift_px, linear, strict=True)]
+        higher = replace(higher, shift_px=np.stack(rows).astype(np.float32))
     more = interpolate_responses(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
     places = replace(
@@ -372,6 +384,7 @@ def tabulate_responses(
         unsure=unsure,
         spacing_mm=spacing,
         give=give,
+        claimed=claimed,
     )
 
 

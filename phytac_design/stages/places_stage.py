@@ -2,12 +2,16 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_locator import response_arrays, response_from_arrays
 from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.cramer_rao import cell_prior
 from phytac_design.simulation.pressed_series import DiscResponse, MeshPair
 from phytac_design.simulation.receptor_tables import tabulate_receptors
@@ -28,32 +32,40 @@ from phytac_design.stages.response_stage import (
 from phytac_shapes.arrays import IntArray
 from phytac_shapes.errors import DesignError
 
-EXTRAPOLATED_REFINE, EXTRAPOLATED_MESHES = 3, (6, 4)
-"""Elements a pitch of a mesh whose linear part is extrapolated from others, and those of these.
+EXTRAPOLATED_REFINE_MIN = 3
+"""Elements a pitch of the coarsest mesh whose linear part is extrapolated from others.
 
-With 3 elements a pitch, shifts per newton are 8 % off (13 % beside rims). With 4 they are 3 % (5 %)
-off, but decoders that are trained with such tables read no better with extrapolated ones."""
+Without, shifts per newton are 8 % off with 3 elements a pitch (13 % beside rims), 3 % with 4 (5 %).
+"""
 EXTRAPOLATED_MARKERS_MAX = 1400
 """Larger shells take more than ten seconds for that."""
 
 
-def is_extrapolated(accuracy: Accuracy, markers: int) -> bool:
-    """Whether the linear part of the tables of a sensor with some markers is extrapolated."""
-    linear = accuracy.refine == EXTRAPOLATED_REFINE and accuracy.place_orders == 1
-    return linear and markers <= EXTRAPOLATED_MARKERS_MAX
+def extrapolated_from(accuracy: Accuracy, markers: int) -> tuple[int, int] | None:
+    """Elements a pitch of two meshes that linear tables are extrapolated from, the finer first.
 
-
-def mesh_pair(context: Context) -> MeshPair | None:
-    """Two meshes of the decoder's shell that linear motion is extrapolated from; None for others.
-
-    None for tables of higher powers, too: these would be of a stiffer shell. Both numbers of
-    elements are even: odd ones do not divide receptors alike. With 2 a wall may be 24 % too stiff,
-    from which nothing can be extrapolated.
+    None where they are not. Even numbers divide receptors alike; with 2 elements a pitch a wall may
+    be 24 % too stiff, from which nothing can be extrapolated.
     """
-    if not is_extrapolated(context.accuracy, context.markers.count):
+    refine = accuracy.refine
+    if refine < EXTRAPOLATED_REFINE_MIN or markers > EXTRAPOLATED_MARKERS_MAX:
+        return None
+    return max(refine, 6), 4
+
+
+def mesh_pair(context: Context, own: tuple[ShellMesh, ShellModel]) -> MeshPair | None:
+    """Two meshes of the decoder's shell that linear motion is extrapolated from; None without.
+
+    ``own`` is the one of the accuracy's own elements, with its model.
+    """
+    levels = extrapolated_from(context.accuracy, context.markers.count)
+    if levels is None:
         return None
     try:
-        finer, coarser = (decoder_shell(context, level)[:2] for level in EXTRAPOLATED_MESHES)
+        finer, coarser = (
+            own if level == context.accuracy.refine else decoder_shell(context, level)[:2]
+            for level in levels
+        )
     except DesignError:  # no mesh of that size holds the markers
         return None
     return finer, coarser
@@ -73,7 +85,7 @@ def run_places(context: Context, folder: Path) -> None:
         spacing_mm=place_spacing_mm(context.surface, accuracy.place_share, radius),
         orders=accuracy.place_orders,
         near=scope.near if scope else everywhere,
-        pair=mesh_pair(context),
+        pair=mesh_pair(context, (mesh, model)),
         progress=context.progress,
     )
     places = done.places
@@ -90,6 +102,7 @@ def run_places(context: Context, folder: Path) -> None:
             "pairs": len(places.pairs.grid.point_mm) if places.pairs else 0,
             "walls": [round(give, 6) for give in done.give],
             "radius_mm": places.radius_mm,
+            **_mesh_error(done.claimed),
             **(
                 {"top_N": places.top_N}
                 if places.orders > 1
@@ -100,6 +113,14 @@ def run_places(context: Context, folder: Path) -> None:
             "spacing_mm": places.spacing_mm,
         },
     )
+
+
+def _mesh_error(claimed: list[float]) -> dict[str, float]:
+    """Claimed error of the tables because of the meshes: median and largest of all places."""
+    if not claimed:
+        return {}
+    half, most = np.median(claimed), np.max(claimed)
+    return {"mesh_error": float(f"{half:.3g}"), "mesh_error_largest": float(f"{most:.3g}")}
 
 
 def locator_of(context: Context) -> ContactLocator:

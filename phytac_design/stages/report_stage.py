@@ -37,7 +37,7 @@ def gather(context: Context) -> dict[str, Any]:
     reasons = forced_past(context)
     timing = {name: cache.record(folder)["seconds"] for name, folder in context.folders.items()}
     return {
-        "schema_version": "1.4",
+        "schema_version": "1.5",
         "design": design.name,
         "description": design.description,
         "simulated": SIMULATED,
@@ -81,6 +81,7 @@ def gather(context: Context) -> dict[str, Any]:
         "limits": decoder["limits"]["sentences"],
         "limit_figures": {k: v for k, v in decoder["limits"].items() if k != "sentences"},
         "twin": twin,
+        "places": context.facts("places"),
         "condition_compliance": context.facts("response")["condition"],
         "response": {k: v for k, v in context.facts("response").items() if k != "condition"},
         "frames": {key: value for key, value in frames.items() if key != "estimators"},

@@ -29,7 +29,12 @@ from phytac_design.simulation.interaction_tables import (
     image_curvature,
 )
 from phytac_design.simulation.linear_response import turned_points
-from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
+from phytac_design.simulation.pressed_series import (
+    DiscResponse,
+    ExtrapolatedResponse,
+    ImageResponse,
+    scaled_powers,
+)
 from phytac_design.simulation.receptor_tables import tabulate_receptors
 from phytac_design.simulation.response_tables import (
     NONE,
@@ -42,7 +47,11 @@ from phytac_design.simulation.response_tables import (
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
-from phytac_design.stages.places_stage import mesh_pair
+from phytac_design.stages.places_stage import (
+    EXTRAPOLATED_MARKERS_MAX,
+    extrapolated_from,
+    mesh_pair,
+)
 from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.designs import FINE_CAMERA, drawn, of_shape, small
 
@@ -380,15 +389,52 @@ def test_the_first_power_is_extrapolated_from_two_meshes() -> None:
     assert (after < 0.5 * before).all()
 
 
-def test_linear_tables_of_drafts_alone_are_extrapolated() -> None:
-    def pair(**changed: int) -> Any:
-        accuracy = replace(settings_of("draft"), **changed)
-        return mesh_pair(Context(design=DESIGN, accuracy=accuracy, seed=0))
+def test_powers_of_the_force_are_scaled_to_those_of_a_finer_mesh() -> None:
+    """Against a mesh of nine elements a pitch, at each power's share of the greatest force."""
+    short = small(shape={"length_mm": 22.5}, layout={"rows": 3, "height_far_mm": 4.0})
+    bench = Bench(short)
+    coarse = bench.shell(3)
+    uv = bench.surface.domain.mean(axis=1)[None]
+    radius = short.training.patch_radius_max_mm
+    meshes = bench.shell(6), bench.shell(4)
+    pair = ExtrapolatedResponse(short, bench.surface, bench.markers, meshes)
+    first = bench.see.powers(pair.motions(uv, radius)[0], NONE)[0]
+    force = 0.5 * short.training.force_max_N
 
-    fine, coarse = (len(mesh.quads) for mesh, _ in pair())
-    assert fine > 2.0 * coarse
-    assert pair(refine=4) is None
-    assert pair(place_orders=4) is None
+    def moved(rows: FloatArray) -> FloatArray:
+        return np.asarray(force ** np.arange(1, len(rows) + 1) @ rows)
+
+    def rows_of(mesh: Any) -> FloatArray:
+        shell = bench.discs(*mesh, orders=4)
+        return bench.see.powers(shell.motions(uv, radius)[0], shell.forces)
+
+    plain, fine = rows_of(coarse), rows_of(bench.shell(9))
+    done = scaled_powers(plain, first)
+    np.testing.assert_array_equal(done[0], first)
+    true = moved(fine)
+    assert off(moved(done), true) < 0.35 * off(moved(plain), true)
+    # The first power alone, put in the place of the plain one, is not enough.
+    mixed = np.concatenate([first[None], plain[1:]])
+    assert off(moved(done), true) < off(moved(mixed), true)
+    # How far off the motion is claimed to be: more than it is.
+    (claimed,) = pair.claimed
+    assert 0.3 * claimed < off(first, plain[0]) < 30.0 * claimed
+
+
+def test_tables_of_all_but_the_coarsest_meshes_are_extrapolated() -> None:
+    def levels(**changed: int) -> Any:
+        return extrapolated_from(replace(settings_of("draft"), **changed), 100)
+
+    assert levels(refine=2) is None
+    assert levels() == levels(refine=4, place_orders=4) == levels(refine=6) == (6, 4)
+    assert levels(refine=8) == (8, 4)
+    assert extrapolated_from(settings_of("draft"), EXTRAPOLATED_MARKERS_MAX + 1) is None
+    own = BENCH.shell(4)
+    context = Context(design=DESIGN, accuracy=settings_of("standard"), seed=0)
+    pair = mesh_pair(context, own)
+    assert pair is not None
+    assert pair[1] is own
+    assert len(pair[0][0].quads) > 2.0 * len(own[0].quads)
 
 
 def test_linear_theory_alone_is_the_first_power() -> None:

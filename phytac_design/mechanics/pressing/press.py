@@ -1,10 +1,18 @@
-"""One press on a sensor's shell: motion, the theory used, and estimated errors."""
+r"""One press on a sensor's shell: motion, the theory used, and estimated errors.
+
+Linear motion is extrapolated from the mesh, one of half its element size and one of twice that
+(:mod:`~phytac_design.mechanics.shell.discretisation`). The mesh itself is stiffer: with ρ the ratio
+of the extrapolated to its own linear motion, by least squares, it is solved under ρ times the
+force, and what the extrapolated linear motion differs from ρ times its own is added::
+
+    u(F) = u_h(ρ F) + F (u_lin − ρ u_lin,h)
+"""
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -17,10 +25,11 @@ from phytac_design.mechanics.large.quasi_newton import LINEAR_ERROR_SAFETY, Quas
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.pressing.contact_patch import ContactPatch
 from phytac_design.mechanics.shell import discretisation
-from phytac_design.mechanics.shell.compliance import point_motion
 from phytac_design.mechanics.shell.discretisation import (
+    DiscretisationError,
     ProbedShell,
     estimate_error,
+    force_ratio,
     probed_sensor,
 )
 from phytac_design.mechanics.shell.mesh_writers import write_vtu
@@ -31,6 +40,8 @@ from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, NumericalError, OutputError
 
 Theory = Literal["auto", "linear", "large"]
+ProbedMeshes = dict[int, tuple[ShellMesh, ProbedShell]]
+"""Meshes of one shell by elements per marker pitch, the finest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +55,10 @@ class Press:
     mesh : ShellMesh
         Mesh of the middle face.
     motion : (N, 6) float
-        Translation (mm) and rotation (rad; a rotation vector if ``large``) of every node.
-    tip_mm : (n, 3) float
-        Motion of the middle of every receptor's end face, mm.
+        Translation (mm) and rotation (rad; a rotation vector if ``large``) of every node, on the
+        mesh under the scaled force.
+    tip_mm, wall_mm : (n, 3) float
+        Motion of the middle of every receptor's end face, and of the middle face under it, mm.
     tip_px : (n, 2) float or None
         The same in the camera's pixels; None where the design's camera cannot be placed.
     near : (k,) int
@@ -68,10 +80,11 @@ class Press:
     jumped : bool
         Whether the shell snapped, or may have, under the load (:class:`newton.Equilibrium`).
     mesh_error : float or None
-        Estimated error of tips and centre because of the mesh, of the largest motion, linear
-        (:func:`discretisation.estimate_error`); None where no mesh is enough coarser.
+        Claimed error of the linear motion of tips, wall and centre because of the meshes, of the
+        largest motion (:func:`discretisation.estimate_error`); None where nothing could be
+        extrapolated because no other mesh holds the markers.
     resolved : bool
-        Whether that is an estimate; else it is a bound, a few times too large.
+        Whether the meshes converge as theory has it; else the claim is several times too large.
     linear_error : float
         How far linear theory is off, estimated (:class:`estimate.LinearCheck`).
     rounding : float
@@ -86,6 +99,7 @@ class Press:
     mesh: ShellMesh
     motion: FloatArray
     tip_mm: FloatArray
+    wall_mm: FloatArray
     tip_px: FloatArray | None
     near: Any
     distance_mm: FloatArray
@@ -151,23 +165,30 @@ def press(
     if not 0.0 < tolerance < np.inf:
         raise DesignError("tolerance-invalid", f"the tolerance must be positive (got {tolerance})")
     start = time.perf_counter()
-    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=refine)
-    progress(f"press: {6 * len(mesh.nodes_mm)} unknowns, linear")
-    model = sensor_model(design, markers, mesh, receptors=receptors)
-    probed = probed_sensor(model, mesh, surface, markers, place.uv[None], place.radius_mm)
-    load = place.force_N * probed.loads
-    check = QuasiNewtonSolver(model).expand(load)
+    progress(f"press: meshes of {2 * refine}, {refine} and {refine // 2} elements a marker pitch")
+    meshes = probed_meshes(
+        sensor, place.uv[None], place.radius_mm, refine=refine, receptors=receptors
+    )
+    mesh, probed = meshes[refine]
+    solution = probed.model.solve(probed.loads)
+    limit = linear_limit(meshes)
+    wanted = limit.extrapolated if limit else probed.read(solution.motion)
+    scaled = _scaled(probed, solution.motion, wanted, place.force_N)
+    check = QuasiNewtonSolver(probed.model).expand(scaled.load)
     motion, residual, end = check.first.reshape(-1, 6), 0.0, None
     large = theory == "large" or (
         theory == "auto" and LINEAR_ERROR_SAFETY * check.error > tolerance
     )
     if large:
         progress(f"press: linear is about {100 * check.error:.2g} % off; large displacements")
-        end = _large_motion(model, load, place)
+        end = _large_motion(probed.model, scaled.load, place)
         motion, residual = end.state.motion, end.residual
-    rounding = model.solve(probed.loads).error
-    progress("press: error of the mesh")
-    mesh_error, resolved = _mesh_error(sensor, place, probed, refine, receptors=receptors)
+    moved = read_motion(probed, motion, large=large) + scaled.rest_mm
+    mesh_error = float(limit.relative[0]) if limit else None
+    if large and mesh_error is not None:
+        step = _coarser_step(meshes, refine, wanted, place.force_N, moved)
+        moved = moved if step is None else moved + step
+        mesh_error = None if step is None else mesh_error + _claimed(step, moved)
     strain = bending_strain(mesh, motion)
     strain_limit = 0.1  # theory takes strains as small
     if large and strain > strain_limit:
@@ -175,16 +196,22 @@ def press(
             "strain-too-large", _beyond(place, f"the wall would strain by {100.0 * strain:.0f} %")
         )
     seconds = time.perf_counter() - start
-    arm = markers.tip_mm - markers.mid_mm
-    at = motion[mesh.marker_nodes]
-    if large:
-        turn = rot.deviation(rot.exponential(at[:, 3:]))
-        tip = at[:, :3] + np.einsum("nij,nj->ni", turn, arm)
-    else:
-        tip = point_motion(at[:, :, None], arm)[:, :, 0]
-    inward = -np.sum(motion[:, :3] * mesh.normals, axis=1)
+    count = markers.count
+    wall = moved[count:-1]
+    tip = moved[:count]
+    if large:  # A linear part that is added makes arms longer.
+        arm = markers.tip_mm - markers.mid_mm
+        turned = arm + tip - wall
+        length = np.linalg.norm(arm, axis=1) / np.linalg.norm(turned, axis=1)
+        tip = wall + length[:, None] * turned - arm
+    at, shares = probed.nodes[-1], probed.weights[-1]
+    middle = shares @ mesh.normals[at]
+    normal = np.concatenate(
+        [mesh.normals, mesh.normals[mesh.marker_nodes], middle[None] / np.linalg.norm(middle)]
+    )
+    points = np.concatenate([mesh.nodes_mm, markers.mid_mm, shares[None] @ mesh.nodes_mm[at]])
+    inward = -np.sum(np.concatenate([motion[:, :3], moved[count:]]) * normal, axis=1)
     peak = int(np.argmax(inward))
-    centre = (probed.nodes[-1], probed.weights[-1])
     away = np.linalg.norm(surface.point(markers.uv) - surface.point(place.uv[None]), axis=1)
     near = np.argsort(away, kind="stable")[:9]  # a receptor and its neighbours
     return Press(
@@ -192,25 +219,87 @@ def press(
         mesh=mesh,
         motion=motion,
         tip_mm=tip,
+        wall_mm=wall,
         tip_px=_pixels(design, surface, markers.tip_mm, tip),
         near=near,
         distance_mm=away[near],
-        inward_mm=inward[mesh.marker_nodes],
+        inward_mm=inward[-count - 1 : -1],
         peak_mm=float(inward[peak]),
-        centre_mm=float(inward[centre[0]] @ centre[1]),
-        peak_at_mm=mesh.nodes_mm[peak],
+        centre_mm=float(inward[-1]),
+        peak_at_mm=points[peak],
         large=large,
         receptors=receptors,
         strain=strain,
         stable=end.stable if end else True,
         jumped=end.jumped if end else False,
         mesh_error=mesh_error,
-        resolved=resolved,
+        resolved=bool(limit.asymptotic[0]) if limit else False,
         linear_error=check.error,
-        rounding=rounding,
+        rounding=solution.error,
         residual=residual,
         seconds=seconds,
     )
+
+
+class _Scaled(NamedTuple):
+    """A load as a mesh needs it to move as far as the extrapolated linear motion, and the rest.
+
+    Attributes
+    ----------
+    load : (6N, 1) float
+        Nodal forces and moments, dense or scipy.sparse.
+    rest_mm : (n, 3) float
+        What the extrapolated linear motion of probes differs by then.
+    """
+
+    load: Any
+    rest_mm: FloatArray
+
+
+def _scaled(part: ProbedShell, motion: FloatArray, wanted: FloatArray, force_N: float) -> _Scaled:
+    """Scale a force to a mesh with linear ``motion`` (N, 6, 1), by ``wanted`` of its probes."""
+    own = part.read(motion)
+    ratio = force_ratio(wanted, own)
+    return _Scaled(
+        load=force_N * ratio * part.loads,
+        rest_mm=force_N * (wanted - ratio * own)[:, :, 0],
+    )
+
+
+def read_motion(probed: ProbedShell, motion: FloatArray, *, large: bool) -> FloatArray:
+    """Translation (n, 3) of probes; arms turn with the wall, by finite rotations if ``large``."""
+    if not large:
+        return probed.read(motion[:, :, None])[:, :, 0]
+    here = np.einsum("nk,nkd->nd", probed.weights, motion[probed.nodes])
+    arm = np.zeros((len(here), 3)) if probed.arm_mm is None else probed.arm_mm
+    turn = rot.deviation(rot.exponential(here[:, 3:]))
+    return np.asarray(here[:, :3] + np.einsum("nij,nj->ni", turn, arm))
+
+
+def _coarser_step(
+    meshes: ProbedMeshes, refine: int, wanted: FloatArray, force_N: float, moved: FloatArray
+) -> FloatArray | None:
+    """What to add to large displacements (n, 3) of probes: extrapolated with the coarser mesh.
+
+    None where there is no coarser mesh, or no equilibrium on it.
+    """
+    if refine // 2 not in meshes:
+        return None
+    (_, fine), (_, coarse) = meshes[refine], meshes[refine // 2]
+    scaled = _scaled(coarse, coarse.model.solve(coarse.loads).motion, wanted, force_N)
+    try:
+        motion = solve_large(coarse.model, scaled.load)[0].state.motion
+    except NumericalError:
+        return None
+    step = moved - read_motion(coarse, motion, large=True) - scaled.rest_mm
+    return step / (len(fine.model.quads) / len(coarse.model.quads) - 1.0)
+
+
+def _claimed(step: FloatArray, moved: FloatArray) -> float:
+    """Claimed error of large displacements besides the linear ones, by two meshes."""
+    largest = np.linalg.norm(moved, axis=1).max()
+    safety = discretisation.SETTINGS.safety_outside
+    return safety * float(np.linalg.norm(step, axis=1).max() / largest)
 
 
 def _large_motion(model: ShellModel, load: Any, place: ContactPatch) -> Equilibrium:
@@ -222,30 +311,66 @@ def _large_motion(model: ShellModel, load: Any, place: ContactPatch) -> Equilibr
         ) from error
 
 
-def _mesh_error(
-    sensor: Sensor, place: ContactPatch, fine: ProbedShell, refine: int, *, receptors: bool
-) -> tuple[float | None, bool]:
-    """Error by meshes of about a half and a quarter of the elements along each side.
+def probed_meshes(
+    sensor: Sensor,
+    centres_uv: FloatArray,
+    radii_mm: FloatArray | float,
+    *,
+    refine: int,
+    receptors: bool,
+) -> ProbedMeshes:
+    """Shell under 1 N on patches on a mesh, and on its finer and coarser one where they can be.
 
-    Returns the error, None where no mesh is enough coarser, and whether it is an estimate.
+    Parameters
+    ----------
+    sensor : Sensor
+        The design with its surface and markers.
+    centres_uv, radii_mm : (m, 2) float, float or (m,) float
+        Patches.
+    refine : int
+        Elements per marker pitch of the mesh; the finer one has twice, the coarser half as many.
+    receptors : bool
+        Whether the wall has the stiffness of its receptor tubes and holes.
+
+    Returns
+    -------
+    dict
+        Mesh and shell by elements per pitch, the finest first; probes are the tips, the wall under
+        them and the patches' centres (:func:`discretisation.probed_sensor`).
+
+    Raises
+    ------
+    DesignError
+        If no mesh of ``refine`` holds the markers, or the receptors' stiffness is not known.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    wall = design.wall.thickness_mm
-    parts, elements = {refine: fine}, len(fine.model.quads)
-    for level in (refine // 2, refine // 4):
+    out: ProbedMeshes = {}
+    elements = np.inf
+    for level in (2 * refine, refine, refine // 2):
         try:
-            mesh = marker_mesh(surface, markers, thickness_mm=wall, refine=level)
-        except DesignError:  # no coarser mesh holds the markers
-            break
+            mesh = marker_mesh(
+                surface, markers, thickness_mm=design.wall.thickness_mm, refine=level
+            )
+        except DesignError:  # no such mesh holds the markers
+            if level == refine:
+                raise
+            continue
         if elements < discretisation.SETTINGS.min_size_ratio**2 * len(mesh.quads):
-            break
+            if level == refine:
+                out.clear()
+            else:
+                continue
         model = sensor_model(design, markers, mesh, receptors=receptors)
-        parts[level] = probed_sensor(model, mesh, surface, markers, place.uv[None], place.radius_mm)
-        elements = len(mesh.quads)
-    if len(parts) == 1:
-        return None, False
-    found = estimate_error(parts.__getitem__, tuple(parts))
-    return float(found.relative[0]), bool(found.asymptotic[0])
+        part = probed_sensor(model, mesh, surface, markers, centres_uv, radii_mm)
+        out[level], elements = (mesh, part), len(mesh.quads)
+    return out
+
+
+def linear_limit(meshes: ProbedMeshes) -> DiscretisationError | None:
+    """Linear motion on elements of size 0, extrapolated from meshes; None of a single one."""
+    if len(meshes) == 1:
+        return None
+    return estimate_error(lambda level: meshes[level][1], tuple(meshes))
 
 
 def _beyond(place: ContactPatch, what: str) -> str:

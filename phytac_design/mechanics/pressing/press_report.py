@@ -102,7 +102,7 @@ def press_text(result: Press, markers: Markers, *, name: str, tolerance: float) 
             f"{px:>7s} {result.inward_mm[i]:15.4f}"
         )
     lines.append(
-        f"error of the mesh {_mesh_error(result)}, of the largest motion; "
+        f"error of the mesh {_mesh_error(result)} of the largest motion, extrapolated; "
         f"{6 * len(result.mesh.nodes_mm)} unknowns, rounding error {result.rounding:.0e}, "
         f"{result.seconds:.1f} s"
     )
@@ -112,4 +112,4 @@ def press_text(result: Press, markers: Markers, *, name: str, tolerance: float) 
 def _mesh_error(result: Press) -> str:
     if result.mesh_error is None:
         return "not known"
-    return f"{'about' if result.resolved else 'up to'} {100.0 * result.mesh_error:.2g} %"
+    return f"up to {100.0 * result.mesh_error:.2g} %"

@@ -15,6 +15,7 @@ from phytac_design.engine.stage import Context, Stage
 from phytac_design.geometry.curvature import curvatures
 from phytac_design.mechanics.large.quasi_newton import LINEAR_ERROR_SAFETY
 from phytac_design.stages import STAGES
+from phytac_design.stages.places_stage import extrapolated_from
 from phytac_design.study.planning.cost import Counts, Workload, features, machine_factor, predict
 from phytac_design.study.planning.resolve import STAGES_OF, Resolved, resolve
 from phytac_design.study.planning.unit_costs import MEMORY_MB, CPU_s
@@ -213,12 +214,14 @@ def predicted_error(resolved: Resolved) -> dict[str, float]:
 
     Linear theory has the error of the pilot, with its safety factor; a series of k powers of the
     force about the k-th power of that error, as the terms of a geometric series have. The error of
-    the mesh covers the worst of 6 presses of `fingertip` and `grip5` on curved walls (1.2 %). On
-    flat and slightly curved walls the camera looks along the motion: errors of the tables of 1 %
-    change a force by up to 10 % (`fingertip` on plane, patch and cuboid), with finer meshes too.
+    the mesh covers the worst of 6 presses of `fingertip` and `grip5` on curved walls (1.2 %; 0.8 %
+    with tables that are extrapolated). On flat and slightly curved walls the camera looks along the
+    motion: errors of the tables of 1 % change a force by up to 12 % (`fingertip` on plane, patch
+    and cuboid), with finer meshes too.
     """
-    mesh = 0.2  # at one element per marker pitch; it falls with the square of their number
-    flat, flat_curvature = 0.1, 0.02  # and 1/mm
+    plain_mesh = 0.2  # at one element per marker pitch; it falls with the square of their number
+    extrapolated_mesh = 0.01
+    flat, flat_curvature = 0.12, 0.02  # and 1/mm
     table = 0.002  # of `auto` between the places of its tables, at 0.55 of the patches' radius
     off, accuracy = min(resolved.linear_error, 1.0), resolved.accuracy
     orders = accuracy.place_orders
@@ -226,7 +229,9 @@ def predicted_error(resolved: Resolved) -> dict[str, float]:
         return {}
     parts = {
         "theory": off if orders == 1 else (off / LINEAR_ERROR_SAFETY) ** orders,
-        "mesh": mesh / accuracy.refine**2,
+        "mesh": extrapolated_mesh
+        if extrapolated_from(accuracy, len(resolved.in_play))
+        else plain_mesh / accuracy.refine**2,
         "table": table * (accuracy.place_share / 0.55) ** 3,
     }
     sensor = resolved.context().sensor

@@ -36,10 +36,11 @@ from phytac_design.simulation.pressed_series import (
     DiscResponse,
     ExtrapolatedResponse,
     ImageResponse,
+    scaled_powers,
 )
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm, rings
-from phytac_design.stages.places_stage import EXTRAPOLATED_MESHES, is_extrapolated
+from phytac_design.stages.places_stage import extrapolated_from
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError, NumericalError
@@ -179,17 +180,18 @@ class ForceError:
         mesh, model = self.shell(refine, receptors=receptors)
         return self.powers(mesh, model, self.contacts.uv, orders=orders)
 
-    def _linear_rows(self, refine: int, *, receptors: bool, orders: int) -> FloatArray:
-        """S₁ (c, 2n) likewise, extrapolated where a build with so many orders does that."""
-        setting = replace(PRESETS["draft"], refine=refine, place_orders=orders)
-        if is_extrapolated(setting, self.sensor.markers.count):
+    def _linear_rows(self, refine: int, *, receptors: bool) -> FloatArray:
+        """S₁ (c, 2n) likewise, extrapolated where a build does that."""
+        setting = replace(PRESETS["draft"], refine=refine)
+        levels = extrapolated_from(setting, self.sensor.markers.count)
+        if levels:
             with suppress(DesignError):  # no mesh of that size holds the markers
-                return self._extrapolated_rows(receptors)
+                return self._extrapolated_rows(levels, receptors)
         return self.rows(refine, receptors=receptors, orders=1)[:, 0]
 
-    def _extrapolated_rows(self, receptors: bool) -> FloatArray:
+    def _extrapolated_rows(self, levels: tuple[int, int], receptors: bool) -> FloatArray:
         sensor = self.sensor
-        finer, coarser = (self.shell(n, receptors=receptors) for n in EXTRAPOLATED_MESHES)
+        finer, coarser = (self.shell(n, receptors=receptors) for n in levels)
         shell = ExtrapolatedResponse(self.design, sensor.surface, sensor.markers, (finer, coarser))
         motions = shell.motions(self.contacts.uv, float(self.contacts.radius_mm[0]))
         return np.stack([self.imaging.powers(one, np.zeros(0))[0] for one in motions])
@@ -253,9 +255,9 @@ class ForceError:
         """Relative force errors (s,) of a setting on the contacts that the reference solves."""
         receptors, coarse = setting.receptors, min(setting.refine, self.pilot_refine)
         orders = setting.place_orders
-        rows = self.rows(setting.refine, receptors=receptors, orders=orders).copy()
-        if is_extrapolated(setting, self.sensor.markers.count):
-            rows[:, 0] = self.linear_rows(setting.refine, receptors=receptors, orders=orders)
+        plain = self.rows(setting.refine, receptors=receptors, orders=orders)
+        linear = self.linear_rows(setting.refine, receptors=receptors)
+        rows = np.stack([scaled_powers(*each) for each in zip(plain, linear, strict=True)])
         # S₁ as between the setting's tabulated places.
         exact = self.rows(coarse, receptors=receptors, orders=1)[:, 0]
         rows[:, 0] += self.between(coarse, setting.place_share, receptors=receptors) - exact

@@ -56,9 +56,9 @@ class ForcePilot:
         self.theory = cache(self._theory)
         self.tables = cache(self._tables)
 
-    def _mesh(self, refine: int, receptors: bool, orders: int) -> FloatArray:
+    def _mesh(self, refine: int, receptors: bool) -> FloatArray:
         """Estimated over true force (c,), for the mesh alone."""
-        rows = self.error.linear_rows(refine, receptors=receptors, orders=orders)
+        rows = self.error.linear_rows(refine, receptors=receptors)
         return fit_forces(rows[:, None], self.error.linear_reference)
 
     @cached_property
@@ -80,7 +80,7 @@ class ForcePilot:
         """Root mean square error of one field of the settings, everything else being ideal."""
         if name in {"refine", "receptors"}:
             refine = setting.refine if name == "refine" else self.error.pilot_refine
-            ratio = self.mesh(refine, setting.receptors, setting.place_orders)
+            ratio = self.mesh(refine, setting.receptors)
         elif name == "place_share":
             ratio = self.tables(setting.place_share)
         else:
@@ -90,7 +90,7 @@ class ForcePilot:
     def predict(self, setting: Accuracy) -> float:
         """Predicted error, with its safety factor."""
         ratio = (
-            self.mesh(setting.refine, setting.receptors, setting.place_orders)
+            self.mesh(setting.refine, setting.receptors)
             * self.theory(setting.place_orders)
             * self.tables(setting.place_share)
         )

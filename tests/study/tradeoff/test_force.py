@@ -44,7 +44,9 @@ def test_finer_meshes_and_series_err_less(error: ForceError) -> None:
         for refine, orders in ((2, 1), (2, 3), (4, 3), (8, 3))
     ]
     errors = [rms(error.errors(setting)) for setting in settings]
-    assert errors == sorted(errors, reverse=True)
+    assert errors[:3] == sorted(errors[:3], reverse=True)
+    # From 3 elements on the linear part is extrapolated, and what is left is the interpolation.
+    assert errors[3] == pytest.approx(errors[2], rel=0.1)
     assert errors[-1] < 0.5 * errors[1]
 
 
@@ -74,20 +76,19 @@ def test_the_pilot_predicts_the_error(error: ForceError) -> None:
         assert got <= pilot.predict(setting) <= 2.0 * pilot.safety * got
 
 
-def test_tables_of_drafts_are_extrapolated_as_builds_do(error: ForceError) -> None:
+def test_tables_are_extrapolated_as_builds_do(error: ForceError) -> None:
     pilot = ForcePilot(error)
-    wrong = {
-        (refine, orders): rms(pilot.mesh(refine, True, orders) - 1.0)
-        for refine in (3, 4)
-        for orders in (1, 3)
-    }
-    assert wrong[3, 1] < 0.3 * wrong[4, 1] < 0.3 * wrong[3, 3]
-    assert wrong[4, 1] == wrong[4, 3]
+    off = {refine: rms(pilot.mesh(refine, True) - 1.0) for refine in (2, 3, 4)}
+    assert off[3] == off[4] < 0.1 * off[2]
+    # The powers above the first are scaled with it: as exact as those of a finer mesh.
+    series = (replace(DRAFT, refine=n, place_orders=3, place_share=0.4) for n in (2, 3, 4))
+    two, three, four = (rms(error.errors(setting)) for setting in series)
+    assert max(three, four) < 0.3 * two
     # Where no such mesh holds the markers, a build takes the plain one.
     crowded = ForceError(error.design, count=2)
     plain = crowded.rows(3, receptors=True, orders=1)[:, 0]
     crowded.shell = partial(_without_mesh, crowded.shell, 6)
-    assert np.array_equal(crowded.linear_rows(3, receptors=True, orders=1), plain)
+    assert np.array_equal(crowded.linear_rows(3, receptors=True), plain)
 
 
 def _without_mesh(shell: Any, missing: int, refine: int, *, receptors: bool) -> Any:
@@ -98,7 +99,7 @@ def _without_mesh(shell: Any, missing: int, refine: int, *, receptors: bool) -> 
 
 def test_one_setting_alone(error: ForceError) -> None:
     pilot = ForcePilot(error)
-    mesh = [pilot.alone("refine", replace(DRAFT, refine=refine)) for refine in (2, 4, 8)]
+    mesh = [pilot.alone("refine", replace(DRAFT, refine=refine)) for refine in (1, 2, 4)]
     assert mesh == sorted(mesh, reverse=True)
     theory = [pilot.alone("place_orders", replace(DRAFT, place_orders=k)) for k in (1, 3)]
     assert theory[1] < theory[0]
