@@ -136,14 +136,15 @@ class PressedDesign:
             return read_motion(part, motion, large=True)[:, :, None], len(part.model.quads)
 
         count = self.sensor.markers.count
-        # Tips; not the centres of the other patches.
-        truth, plain = _limit(solve, 12, 8)[:count], solve(2 * REFINE)[0][:count]
+        # Tips and the wall under them; not the centres of the other patches.
+        truth, plain = _limit(solve, 12, 8)[: 2 * count], solve(2 * REFINE)[0][: 2 * count]
         radius = float(self.radii_mm[place])
         patch = ContactPatch(uv=self.uv[place], radius_mm=radius, force_N=force)
         found = press(self.sensor, patch, theory="large", refine=REFINE, receptors=self.receptors)
+        moved = np.concatenate([found.tip_mm, found.wall_mm])
         return PressErrors(
             plain=_largest(plain - truth) / _largest(truth),
-            extrapolated=_largest(found.tip_mm[:, :, None] - truth) / _largest(truth),
+            extrapolated=_largest(moved[:, :, None] - truth) / _largest(truth),
             claimed=np.array([found.mesh_error or 0.0]),
         )
 

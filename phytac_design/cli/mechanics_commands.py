@@ -56,7 +56,8 @@ def press(
         bool, typer.Option(help="Include the stiffness of tubes and holes in the wall.")
     ] = True,
     vtu: Annotated[
-        Path | None, typer.Option(help="File for the displaced mesh, for ParaView.")
+        Path | None,
+        typer.Option(help="File for the displaced mesh, for ParaView: one mesh, not extrapolated."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -334,12 +334,10 @@ def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing
         "deepest dent (mm)": load["dent_mm"],
         "receptors stiffen the wall": report["response"]["receptors"],
         "nodes of the decoder's mesh": report["response"]["nodes"],
-        "error of linear tables because of the mesh, median of places, at most (%)": _percent(
+        "bound on the mesh's error in the tables of auto, median of places (%)": _percent(
             report["places"].get("mesh_error")
         ),
-        "the same, of the worst place, at most (%)": _percent(
-            report["places"].get("mesh_error_largest")
-        ),
+        "the same, worst place (%)": _percent(report["places"].get("mesh_error_largest")),
         "condition number of its compliance": report["condition_compliance"],
         "smallest image shift of a marker for inward motion (px/mm)": report["response"][
             "sensitivity_px_mm_least"

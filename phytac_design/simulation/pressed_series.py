@@ -31,6 +31,9 @@ LARGE_SOLVED_ABOVE = {4: 0.06, 5: 0.005}
 """Error of the expansion at the greatest force, in the norm of the stiffness, from which on
 large displacements are solved, by the powers of the force that are kept. With fewer powers none
 are."""
+RATIO_MAX = 1.5
+"""Largest ratio of linear motions on two meshes that higher powers are scaled by: beside a clamped
+rim hardly anything moves, and meshes may differ by more than that."""
 SUMMED_MAX = 0.5
 """Share of the stiffness that the greatest force takes away by a geometric series, up to which that
 is summed."""
@@ -282,7 +285,7 @@ def scaled_powers(rows: FloatArray, first: FloatArray) -> FloatArray:
     first : (2n,) float
         The first of them, on the finer mesh.
     """
-    ratio = force_ratio(first, rows[0])
+    ratio = min(force_ratio(first, rows[0]), RATIO_MAX)
     out = rows * ratio ** np.arange(1, len(rows) + 1)[:, None]
     out[0] = first
     return np.asarray(out)

@@ -8,7 +8,7 @@ face.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import factorial
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -24,6 +24,7 @@ from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.compliance import column_turn, turns_of
+from phytac_design.mechanics.shell.discretisation import force_ratio
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.flat_walls import add_membrane_walls
@@ -281,7 +282,8 @@ def tabulate_responses(
         Which places are wanted; all without it.
     pair : MeshPair, optional
         Two meshes that the first power of the force is extrapolated from; that of ``mesh`` without.
-        The higher powers are those of ``mesh``, scaled (:func:`.pressed_series.scaled_powers`).
+        The higher powers are those of ``mesh``, scaled (:func:`.pressed_series.scaled_powers`), and
+        so are pairs, by the median of all places; force along the surface is that of ``mesh``.
     bytes_max : float
         Largest tables; places stand wider apart where they would be larger.
 
@@ -347,21 +349,9 @@ def tabulate_responses(
             claimed=claimed,
         )
     shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=orders)
-    unsure = 0
-
-    def powers(motions: list[FloatArray]) -> FloatArray:
-        nonlocal unsure
-        unsure += len(motions) < orders
-        return see.powers(motions, shell.forces)
-
-    higher, _, bent = grid.table(
-        apart, orders, lambda at: shell.motions(at, radius), powers, what=", large displacements"
-    )
-    if extrapolated:
-        linear = interpolate_responses(places, higher.point_mm)[:, 0]
-        rows = [scaled_powers(*each) for each in zip(higher.shift_px, linear, strict=True)]
-        higher = replace(higher, shift_px=np.stack(rows).astype(np.float32))
-    more = interpolate_responses(higher, places.point_mm)[:, 1:].astype(np.float32)
+    higher = _higher_powers(grid, apart, shell, see, extrapolated)
+    unsure = higher.unsure
+    more = interpolate_responses(higher.table, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
     places = replace(
         places,
@@ -376,16 +366,59 @@ def tabulate_responses(
     # would double the errors, while on curved walls they still help (patch).
     holds = unsure == 0 and not give and (shell.beyond == 0 or not places.flat.any())
     pairs = _pairs(shell, see, radius, near, progress) if holds else None
+    if pairs:
+        pairs = pairs.scaled(1.0 / higher.ratio)
     return TabulatedResponse(
         places=replace(places, pairs=pairs),
         solves=solves,
-        bent=bent,
+        bent=higher.solves,
         large=shell.solved,
         unsure=unsure,
         spacing_mm=spacing,
         give=give,
         claimed=claimed,
     )
+
+
+class _HigherPowers(NamedTuple):
+    """Table of the powers of the force, and places solved, and of these without higher powers.
+
+    The ratio is the median one of extrapolated linear motion to the mesh's own.
+    """
+
+    table: ResponseTable
+    solves: int
+    unsure: int
+    ratio: float
+
+
+def _higher_powers(
+    grid: _Grid,
+    apart_mm: float,
+    shell: DiscResponse,
+    see: ImageResponse,
+    extrapolated: ExtrapolatedResponse | None,
+) -> _HigherPowers:
+    radius = grid.radius_mm
+    ratios, unsure = [], 0
+
+    def motions_at(uv: FloatArray) -> list[list[FloatArray]]:
+        """Linear motion, extrapolated where tables are, then all that ``shell`` gives."""
+        own = shell.motions(uv, radius)
+        linear = extrapolated.motions(uv, radius) if extrapolated else own
+        return [[one[0], *two] for one, two in zip(linear, own, strict=True)]
+
+    def powers(motions: list[FloatArray]) -> FloatArray:
+        nonlocal unsure
+        linear, *own = motions
+        unsure += len(own) < shell.orders
+        rows, first = see.powers(own, shell.forces), see.powers([linear], NONE)[0]
+        ratios.append(force_ratio(first, rows[0]))
+        return scaled_powers(rows, first) if extrapolated else rows
+
+    what = ", large displacements"
+    table, _, solves = grid.table(apart_mm, shell.orders, motions_at, powers, what=what)
+    return _HigherPowers(table=table, solves=solves, unsure=unsure, ratio=float(np.median(ratios)))
 
 
 def _pairs(

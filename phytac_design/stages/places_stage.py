@@ -8,7 +8,6 @@ from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_locator import response_arrays, response_from_arrays
 from phytac_decoder.mechanics.receptor_table import ReceptorTable
-from phytac_design.design.accuracy import Accuracy
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.solve import ShellModel
@@ -30,27 +29,29 @@ from phytac_design.stages.response_stage import (
     image_response_of,
 )
 from phytac_shapes.arrays import IntArray
-from phytac_shapes.errors import DesignError
+from phytac_shapes.errors import DesignError, NumericalError
 
 EXTRAPOLATED_REFINE_MIN = 3
 """Elements a pitch of the coarsest mesh whose linear part is extrapolated from others.
 
 Without, shifts per newton are 8 % off with 3 elements a pitch (13 % beside rims), 3 % with 4 (5 %).
 """
+ELEMENTS_RATIO_MIN = 1.5
+"""Least ratio of the elements of the two meshes; shipped designs have 1.9 or more. Nearer meshes
+multiply their difference by more than it is known to."""
 EXTRAPOLATED_MARKERS_MAX = 1400
 """Larger shells take more than ten seconds for that."""
 
 
-def extrapolated_from(accuracy: Accuracy, markers: int) -> tuple[int, int] | None:
+def extrapolated_from(refine: int, markers: int) -> tuple[int, int] | None:
     """Elements a pitch of two meshes that linear tables are extrapolated from, the finer first.
 
     None where they are not. Even numbers divide receptors alike; with 2 elements a pitch a wall may
     be 24 % too stiff, from which nothing can be extrapolated.
     """
-    refine = accuracy.refine
     if refine < EXTRAPOLATED_REFINE_MIN or markers > EXTRAPOLATED_MARKERS_MAX:
         return None
-    return max(refine, 6), 4
+    return max(refine + refine % 2, 6), 4
 
 
 def mesh_pair(context: Context, own: tuple[ShellMesh, ShellModel]) -> MeshPair | None:
@@ -58,7 +59,7 @@ def mesh_pair(context: Context, own: tuple[ShellMesh, ShellModel]) -> MeshPair |
 
     ``own`` is the one of the accuracy's own elements, with its model.
     """
-    levels = extrapolated_from(context.accuracy, context.markers.count)
+    levels = extrapolated_from(context.accuracy.refine, context.markers.count)
     if levels is None:
         return None
     try:
@@ -66,9 +67,10 @@ def mesh_pair(context: Context, own: tuple[ShellMesh, ShellModel]) -> MeshPair |
             own if level == context.accuracy.refine else decoder_shell(context, level)[:2]
             for level in levels
         )
-    except DesignError:  # no mesh of that size holds the markers
+    except (DesignError, NumericalError):  # it holds no markers, or is too irregular
         return None
-    return finer, coarser
+    far_enough = len(finer[1].quads) >= ELEMENTS_RATIO_MIN * len(coarser[1].quads)
+    return (finer, coarser) if far_enough else None
 
 
 def run_places(context: Context, folder: Path) -> None:

@@ -1,9 +1,9 @@
 r"""One press on a sensor's shell: motion, the theory used, and estimated errors.
 
-Linear motion is extrapolated from the mesh, one of half its element size and one of twice that
-(:mod:`~phytac_design.mechanics.shell.discretisation`). The mesh itself is stiffer: with ρ the ratio
-of the extrapolated to its own linear motion, by least squares, it is solved under ρ times the
-force, and what the extrapolated linear motion differs from ρ times its own is added::
+Linear motion is extrapolated from the mesh and one of half its element size; one of twice its size
+shows how they converge (:mod:`~phytac_design.mechanics.shell.discretisation`). A mesh is stiffer:
+with ρ the ratio of the extrapolated to its own linear motion, by least squares, it is solved under
+ρ times the force, and what the extrapolated linear motion differs from ρ times its own is added::
 
     u(F) = u_h(ρ F) + F (u_lin − ρ u_lin,h)
 """
@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class Press:
     inward_mm : (n,) float
         Motion of the wall under every marker along its own inward normal.
     peak_mm, centre_mm : float
-        Largest inward motion of the wall, and that at the contact's centre.
+        Largest inward motion of the wall under receptors and the contact's centre, and the latter.
     peak_at_mm : (3,) float
         Where the largest is, on the middle face.
     large, receptors : bool
@@ -80,11 +80,9 @@ class Press:
     jumped : bool
         Whether the shell snapped, or may have, under the load (:class:`newton.Equilibrium`).
     mesh_error : float or None
-        Claimed error of the linear motion of tips, wall and centre because of the meshes, of the
-        largest motion (:func:`discretisation.estimate_error`); None where nothing could be
-        extrapolated because no other mesh holds the markers.
-    resolved : bool
-        Whether the meshes converge as theory has it; else the claim is several times too large.
+        Claimed error of tips, wall and centre because of the meshes, of the largest motion
+        (:func:`discretisation.estimate_error`); None where it is not known, because no other mesh
+        holds the markers, or a large displacement is not found on a coarser one.
     linear_error : float
         How far linear theory is off, estimated (:class:`estimate.LinearCheck`).
     rounding : float
@@ -113,7 +111,6 @@ class Press:
     stable: bool | None
     jumped: bool
     mesh_error: float | None
-    resolved: bool
     linear_error: float
     rounding: float
     residual: float
@@ -165,30 +162,30 @@ def press(
     if not 0.0 < tolerance < np.inf:
         raise DesignError("tolerance-invalid", f"the tolerance must be positive (got {tolerance})")
     start = time.perf_counter()
-    progress(f"press: meshes of {2 * refine}, {refine} and {refine // 2} elements a marker pitch")
+    progress("press: meshes")
     meshes = probed_meshes(
         sensor, place.uv[None], place.radius_mm, refine=refine, receptors=receptors
     )
+    counts = ", ".join(f"{level}" for level in meshes)
+    progress(f"press: linear, on meshes of {counts} elements a marker pitch")
     mesh, probed = meshes[refine]
-    solution = probed.model.solve(probed.loads)
     limit = linear_limit(meshes)
-    wanted = limit.extrapolated if limit else probed.read(solution.motion)
-    scaled = _scaled(probed, solution.motion, wanted, place.force_N)
-    check = QuasiNewtonSolver(probed.model).expand(scaled.load)
+    linear = limit.extrapolated if limit else probed.read(probed.model.solve(probed.loads).motion)
+    level = _Level(probed, place.force_N, linear)
+    check = QuasiNewtonSolver(probed.model).expand(level.load)
     motion, residual, end = check.first.reshape(-1, 6), 0.0, None
     large = theory == "large" or (
         theory == "auto" and LINEAR_ERROR_SAFETY * check.error > tolerance
     )
     if large:
         progress(f"press: linear is about {100 * check.error:.2g} % off; large displacements")
-        end = _large_motion(probed.model, scaled.load, place)
+        end = _large_motion(probed.model, level.load, place)
         motion, residual = end.state.motion, end.residual
-    moved = read_motion(probed, motion, large=large) + scaled.rest_mm
+    moved = level.moved(motion, large=large)
     mesh_error = float(limit.relative[0]) if limit else None
-    if large and mesh_error is not None:
-        step = _coarser_step(meshes, refine, wanted, place.force_N, moved)
-        moved = moved if step is None else moved + step
-        mesh_error = None if step is None else mesh_error + _claimed(step, moved)
+    if end and mesh_error is not None:
+        moved, beyond = _extrapolated_large(meshes, refine, level, end, moved)
+        mesh_error = None if beyond is None else mesh_error + beyond
     strain = bending_strain(mesh, motion)
     strain_limit = 0.1  # theory takes strains as small
     if large and strain > strain_limit:
@@ -197,20 +194,17 @@ def press(
         )
     seconds = time.perf_counter() - start
     count = markers.count
-    wall = moved[count:-1]
-    tip = moved[:count]
-    if large:  # A linear part that is added makes arms longer.
+    tip, wall = moved[:count], moved[count:-1]
+    if large:  # What is added to rotated arms makes them longer.
         arm = markers.tip_mm - markers.mid_mm
         turned = arm + tip - wall
         length = np.linalg.norm(arm, axis=1) / np.linalg.norm(turned, axis=1)
         tip = wall + length[:, None] * turned - arm
     at, shares = probed.nodes[-1], probed.weights[-1]
     middle = shares @ mesh.normals[at]
-    normal = np.concatenate(
-        [mesh.normals, mesh.normals[mesh.marker_nodes], middle[None] / np.linalg.norm(middle)]
-    )
-    points = np.concatenate([mesh.nodes_mm, markers.mid_mm, shares[None] @ mesh.nodes_mm[at]])
-    inward = -np.sum(np.concatenate([motion[:, :3], moved[count:]]) * normal, axis=1)
+    normal = np.vstack([mesh.normals[mesh.marker_nodes], middle / np.linalg.norm(middle)])
+    points = np.vstack([markers.mid_mm, shares @ mesh.nodes_mm[at]])
+    inward = -np.sum(moved[count:] * normal, axis=1)
     peak = int(np.argmax(inward))
     away = np.linalg.norm(surface.point(markers.uv) - surface.point(place.uv[None]), axis=1)
     near = np.argsort(away, kind="stable")[:9]  # a receptor and its neighbours
@@ -223,7 +217,7 @@ def press(
         tip_px=_pixels(design, surface, markers.tip_mm, tip),
         near=near,
         distance_mm=away[near],
-        inward_mm=inward[-count - 1 : -1],
+        inward_mm=inward[:-1],
         peak_mm=float(inward[peak]),
         centre_mm=float(inward[-1]),
         peak_at_mm=points[peak],
@@ -233,37 +227,51 @@ def press(
         stable=end.stable if end else True,
         jumped=end.jumped if end else False,
         mesh_error=mesh_error,
-        resolved=bool(limit.asymptotic[0]) if limit else False,
         linear_error=check.error,
-        rounding=solution.error,
+        rounding=level.rounding,
         residual=residual,
         seconds=seconds,
     )
 
 
-class _Scaled(NamedTuple):
-    """A load as a mesh needs it to move as far as the extrapolated linear motion, and the rest.
+class _Level:
+    """A press on one mesh, under a force scaled to it.
+
+    Parameters
+    ----------
+    part : ProbedShell
+        The shell on this mesh, under 1 N.
+    force_N : float
+        The force.
+    linear : (n, 3, 1) float
+        Extrapolated linear motion of the probes under 1 N, mm.
 
     Attributes
     ----------
     load : (6N, 1) float
-        Nodal forces and moments, dense or scipy.sparse.
-    rest_mm : (n, 3) float
-        What the extrapolated linear motion of probes differs by then.
+        Under which this mesh moves as far by linear theory, dense or scipy.sparse.
+    rounding : float
+        Rounding error of its linear solution.
     """
 
-    load: Any
-    rest_mm: FloatArray
+    def __init__(self, part: ProbedShell, force_N: float, linear: FloatArray) -> None:
+        solution = part.model.solve(part.loads)
+        own = part.read(solution.motion)
+        ratio = force_ratio(linear, own)
+        self.part, self.force_N, self.linear = part, force_N, linear
+        self.load: Any = force_N * ratio * part.loads
+        self.rounding = solution.error
+        self._rest_mm = force_N * (linear - ratio * own)[:, :, 0]
 
+    def moved(self, motion: FloatArray, *, large: bool) -> FloatArray:
+        """Translation (n, 3) of the probes by the motion (N, 6) under ``load``.
 
-def _scaled(part: ProbedShell, motion: FloatArray, wanted: FloatArray, force_N: float) -> _Scaled:
-    """Scale a force to a mesh with linear ``motion`` (N, 6, 1), by ``wanted`` of its probes."""
-    own = part.read(motion)
-    ratio = force_ratio(wanted, own)
-    return _Scaled(
-        load=force_N * ratio * part.loads,
-        rest_mm=force_N * (wanted - ratio * own)[:, :, 0],
-    )
+        What the extrapolated linear motion differs from this mesh's is added, less where the shell
+        moves less than linear theory has it.
+        """
+        found = read_motion(self.part, motion, large=large)
+        linear = self.force_N * _largest(self.linear[:, :, 0])
+        return found + min(1.0, _largest(found) / max(linear, 1e-300)) * self._rest_mm
 
 
 def read_motion(probed: ProbedShell, motion: FloatArray, *, large: bool) -> FloatArray:
@@ -276,30 +284,34 @@ def read_motion(probed: ProbedShell, motion: FloatArray, *, large: bool) -> Floa
     return np.asarray(here[:, :3] + np.einsum("nij,nj->ni", turn, arm))
 
 
-def _coarser_step(
-    meshes: ProbedMeshes, refine: int, wanted: FloatArray, force_N: float, moved: FloatArray
-) -> FloatArray | None:
-    """What to add to large displacements (n, 3) of probes: extrapolated with the coarser mesh.
+def _extrapolated_large(
+    meshes: ProbedMeshes, refine: int, level: _Level, end: Equilibrium, moved: FloatArray
+) -> tuple[FloatArray, float | None]:
+    """Large displacements (n, 3) of probes, extrapolated with the coarser mesh, and their error.
 
-    None where there is no coarser mesh, or no equilibrium on it.
+    The error is claimed besides that of linear motion, of the largest motion; None where there is
+    no coarser mesh, or no equilibrium on it. Nothing is added where the meshes differ much, or one
+    of them snaps and the other does not: they are not on one way to a limit.
     """
-    if refine // 2 not in meshes:
-        return None
-    (_, fine), (_, coarse) = meshes[refine], meshes[refine // 2]
-    scaled = _scaled(coarse, coarse.model.solve(coarse.loads).motion, wanted, force_N)
+    coarser = [part for other, (_, part) in meshes.items() if other < refine]
+    if not coarser:
+        return moved, None
+    other = _Level(coarser[0], level.force_N, level.linear)
     try:
-        motion = solve_large(coarse.model, scaled.load)[0].state.motion
+        found = solve_large(other.part.model, other.load)[0]
     except NumericalError:
-        return None
-    step = moved - read_motion(coarse, motion, large=True) - scaled.rest_mm
-    return step / (len(fine.model.quads) / len(coarse.model.quads) - 1.0)
+        return moved, None
+    ratio = len(level.part.model.quads) / len(other.part.model.quads)
+    step = (moved - other.moved(found.state.motion, large=True)) / (ratio - 1.0)
+    settings = discretisation.SETTINGS
+    alike = (found.jumped, found.stable) == (end.jumped, end.stable)
+    if alike and _largest(step) <= settings.step_max * _largest(moved):
+        moved = moved + step
+    return moved, settings.safety_outside * _largest(step) / _largest(moved)
 
 
-def _claimed(step: FloatArray, moved: FloatArray) -> float:
-    """Claimed error of large displacements besides the linear ones, by two meshes."""
-    largest = np.linalg.norm(moved, axis=1).max()
-    safety = discretisation.SETTINGS.safety_outside
-    return safety * float(np.linalg.norm(step, axis=1).max() / largest)
+def _largest(field: FloatArray) -> float:
+    return float(np.linalg.norm(field, axis=1).max())
 
 
 def _large_motion(model: ShellModel, load: Any, place: ContactPatch) -> Equilibrium:
@@ -344,26 +356,26 @@ def probed_meshes(
         If no mesh of ``refine`` holds the markers, or the receptors' stiffness is not known.
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    out: ProbedMeshes = {}
-    elements = np.inf
-    for level in (2 * refine, refine, refine // 2):
-        try:
-            mesh = marker_mesh(
-                surface, markers, thickness_mm=design.wall.thickness_mm, refine=level
-            )
-        except DesignError:  # no such mesh holds the markers
-            if level == refine:
-                raise
-            continue
-        if elements < discretisation.SETTINGS.min_size_ratio**2 * len(mesh.quads):
-            if level == refine:
-                out.clear()
-            else:
-                continue
+
+    def made(level: int) -> tuple[ShellMesh, ProbedShell]:
+        mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=level)
         model = sensor_model(design, markers, mesh, receptors=receptors)
-        part = probed_sensor(model, mesh, surface, markers, centres_uv, radii_mm)
-        out[level], elements = (mesh, part), len(mesh.quads)
-    return out
+        return mesh, probed_sensor(model, mesh, surface, markers, centres_uv, radii_mm)
+
+    out = {refine: made(refine)}
+    count = len(out[refine][0].quads)
+    least = discretisation.SETTINGS.min_size_ratio**2
+    for levels, finer in (((2 * refine,), True), (range(refine // 2, 0, -1), False)):
+        for level in levels:
+            try:
+                other = made(level)
+            except (DesignError, NumericalError):  # it holds no markers, or is too irregular
+                continue
+            quads = len(other[0].quads)
+            if max(quads, count) >= least * min(quads, count) and (quads > count) == finer:
+                out[level] = other
+                break
+    return dict(sorted(out.items(), reverse=True))
 
 
 def linear_limit(meshes: ProbedMeshes) -> DiscretisationError | None:

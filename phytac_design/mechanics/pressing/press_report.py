@@ -60,7 +60,6 @@ def press_dict(result: Press, markers: Markers, *, name: str, tolerance: float) 
         "tolerance": tolerance,
         "receptors": result.receptors,
         "mesh_error": result.mesh_error,
-        "mesh_resolved": result.resolved,
         "stable": result.stable,
         "jumped": result.jumped,
         "peak_inward_mm": result.peak_mm,

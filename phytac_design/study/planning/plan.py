@@ -230,7 +230,7 @@ def predicted_error(resolved: Resolved) -> dict[str, float]:
     parts = {
         "theory": off if orders == 1 else (off / LINEAR_ERROR_SAFETY) ** orders,
         "mesh": extrapolated_mesh
-        if extrapolated_from(accuracy, len(resolved.in_play))
+        if extrapolated_from(accuracy.refine, len(resolved.in_play))
         else plain_mesh / accuracy.refine**2,
         "table": table * (accuracy.place_share / 0.55) ** 3,
     }

@@ -11,14 +11,14 @@ included: noise, the estimation of place, size and number of contacts, print sca
 """
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phytac_decoder.mechanics.response_table import FIT_PLACES, ResponseTable
-from phytac_design.design.accuracy import PRESETS, Accuracy
+from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.layout.arc import by_area
 from phytac_design.layout.cameras import Readers
@@ -182,8 +182,7 @@ class ForceError:
 
     def _linear_rows(self, refine: int, *, receptors: bool) -> FloatArray:
         """S₁ (c, 2n) likewise, extrapolated where a build does that."""
-        setting = replace(PRESETS["draft"], refine=refine)
-        levels = extrapolated_from(setting, self.sensor.markers.count)
+        levels = extrapolated_from(refine, self.sensor.markers.count)
         if levels:
             with suppress(DesignError):  # no mesh of that size holds the markers
                 return self._extrapolated_rows(levels, receptors)
