@@ -48,7 +48,7 @@ class InteractionSettings:
     """Loads solved together."""
     elements_max: int = 40000
     """Shells of more have no such tables: time and memory grow with both."""
-    elements_kept: int = 6000
+    elements_kept: int = 6500
     """Shells of more get third derivatives twice: they take 80 kB an element."""
     axes_max: int = 128
     """Of the images, at most."""
@@ -176,12 +176,12 @@ class InteractionSolver:
         """M (k, 2n) px/N² of pairs of places (k, 2), each solved for itself."""
         push = np.zeros((len(pairs), len(self.motion)))
         for part in self.parts():
-            flat = part.third.reshape(-1, DOFS * DOFS, DOFS)
+            flat = part.third.reshape(-1, DOFS, DOFS * DOFS)
             for first in range(0, len(pairs), SETTINGS.batch):
                 some = slice(first, first + SETTINGS.batch)
                 one, other = part.own[:, :, pairs[some, 0]], part.own[:, :, pairs[some, 1]]
-                by_one = (flat @ one).reshape(-1, DOFS, DOFS, one.shape[2])
-                force = np.einsum("eabk,ebk->eak", by_one, other)
+                products = (other[:, :, None] * one[:, None]).reshape(len(one), DOFS * DOFS, -1)
+                force = flat @ products
                 push[some, part.dofs] -= (part.gather @ force.reshape(len(part.own) * DOFS, -1)).T
         push[:, self.held] = 0.0
         out = []

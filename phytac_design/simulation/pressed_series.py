@@ -262,11 +262,25 @@ class ExtrapolatedResponse:
     def motions(self, uv: FloatArray, radius_mm: float) -> list[list[FloatArray]]:
         """Return for each place (c, 2) the motion (n, 6) per newton, see ``DiscResponse``."""
         fine, coarse = (each.motions(uv, radius_mm) for each in self.each)
+        return [[one] for one in self._limits(fine, coarse)]
+
+    def beside(
+        self, own: DiscResponse, found: list[list[FloatArray]], uv: FloatArray, radius_mm: float
+    ) -> list[FloatArray]:
+        """Motion (n, 6) per newton where ``own`` has ``found`` its motions: not solved twice."""
+        fine, coarse = (
+            found if each.model is own.model else each.motions(uv, radius_mm) for each in self.each
+        )
+        return self._limits(fine, coarse)
+
+    def _limits(
+        self, fine: list[list[FloatArray]], coarse: list[list[FloatArray]]
+    ) -> list[FloatArray]:
         out = []
-        for (one,), (other,) in zip(fine, coarse, strict=True):
+        for (one, *_), (other, *_) in zip(fine, coarse, strict=True):
             change = self.share * (one - other)
-            out.append([one + change])
-            size = float(np.linalg.norm(out[-1][0][:, :3]))
+            out.append(one + change)
+            size = float(np.linalg.norm(out[-1][:, :3]))
             change_size = float(np.linalg.norm(change[:, :3]))
             self.claimed.append(SETTINGS.safety_outside * change_size / max(size, 1e-300))
         return out

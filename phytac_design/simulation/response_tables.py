@@ -405,8 +405,10 @@ def _higher_powers(
     def motions_at(uv: FloatArray) -> list[list[FloatArray]]:
         """Linear motion, extrapolated where tables are, then all that ``shell`` gives."""
         own = shell.motions(uv, radius)
-        linear = extrapolated.motions(uv, radius) if extrapolated else own
-        return [[one[0], *two] for one, two in zip(linear, own, strict=True)]
+        if not extrapolated:
+            return [[each[0], *each] for each in own]
+        linear = extrapolated.beside(shell, own, uv, radius)
+        return [[one, *two] for one, two in zip(linear, own, strict=True)]
 
     def powers(motions: list[FloatArray]) -> FloatArray:
         nonlocal unsure
