@@ -292,6 +292,18 @@ def test_meshes_that_snap_differently_are_not_extrapolated(monkeypatch: pytest.M
     np.testing.assert_array_equal(apart.motion, usual.motion)
 
 
+def test_meshes_that_cannot_be_solved_leave_the_press_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fails(*_: object) -> None:
+        raise NumericalError("rounding", "the finer mesh is too thin for its elements")
+
+    monkeypatch.setattr(module, "estimate_error", fails)
+    result = press(Sensor.of(DESIGN, SURFACE, MARKERS), place(1.0, at="45"), refine=2)
+    assert result.mesh_error is None
+    np.testing.assert_array_equal(result.tip_mm, alone(1.0, "auto").tip_mm)
+
+
 def test_odd_numbers_of_elements_and_single_meshes() -> None:
     fine = pressed(1.0, "linear", refine=6).centre_mm
     done, plain = pressed(1.0, "linear", refine=3), alone(1.0, "linear", 3)

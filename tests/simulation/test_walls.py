@@ -15,7 +15,7 @@ from phytac_design.layout.cameras import Readers, cameras_of
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
-from phytac_design.simulation.flat_walls import StretchedWall, flat_walls
+from phytac_design.simulation.flat_walls import StretchedWall, add_membrane_walls, flat_walls
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_design.simulation.response_tables import TabulatedResponse, tabulate_responses
 from phytac_shapes.arrays import FloatArray
@@ -178,6 +178,27 @@ def test_elements_of_a_wall_lie_in_its_plane_and_in_no_other(shape: str) -> None
         assert np.ptp(height) < 1e-3 * np.ptp(model.nodes_mm)
     assert taken.max() == 1
     assert (taken > 0).all() == (shape == "plane")
+
+
+def test_walls_of_softer_tables_are_as_much_softer() -> None:
+    """As those are that are extrapolated from finer meshes."""
+    one = bench("plane")
+    plain = replace(one.places, walls=None, shift_px=powers(one.places))
+    rows = plain.shift_px.copy()
+    rows[:, 0] *= np.float32(1.1)
+    uv = one.pressed.surface.chart(plain.point_mm)
+    own, softer = (
+        add_membrane_walls(one.pressed, one.see, places, uv)[0]
+        for places in (plain, replace(plain, shift_px=rows))
+    )
+    orders = one.pressed.orders
+    np.testing.assert_allclose(
+        softer.shift_px[:, orders:], 1.1 * own.shift_px[:, orders:], rtol=1e-4, atol=1e-6
+    )
+    assert np.abs(own.shift_px[:, orders:]).max() > 1e-3
+    assert own.walls is not None
+    assert softer.walls is not None
+    np.testing.assert_allclose(softer.walls.slopes, 1.1 * own.walls.slopes, rtol=1e-4, atol=1e-6)
 
 
 def test_linear_tables_have_no_walls() -> None:

@@ -3,9 +3,12 @@ r"""One press on a sensor's shell: motion, the theory used, and estimated errors
 Linear motion is extrapolated from the mesh and one of half its element size; one of twice its size
 shows how they converge (:mod:`~phytac_design.mechanics.shell.discretisation`). A mesh is stiffer:
 with ρ the ratio of the extrapolated to its own linear motion, by least squares, it is solved under
-ρ times the force, and what the extrapolated linear motion differs from ρ times its own is added::
+ρ times the force, and the difference of the linear motions is added::
 
     u(F) = u_h(ρ F) + F (u_lin − ρ u_lin,h)
+
+The last term is scaled down where the shell moves less than linear theory predicts. Large
+displacements are so solved on the mesh and on the coarser one, and extrapolated again.
 """
 
 import time
@@ -266,8 +269,8 @@ class _Level:
     def moved(self, motion: FloatArray, *, large: bool) -> FloatArray:
         """Translation (n, 3) of the probes by the motion (N, 6) under ``load``.
 
-        What the extrapolated linear motion differs from this mesh's is added, less where the shell
-        moves less than linear theory has it.
+        The difference of the extrapolated linear motion to this mesh's is added, scaled down where
+        the shell moves less than linear theory predicts.
         """
         found = read_motion(self.part, motion, large=large)
         linear = self.force_N * _largest(self.linear[:, :, 0])
@@ -291,7 +294,7 @@ def _extrapolated_large(
 
     The error is claimed besides that of linear motion, of the largest motion; None where there is
     no coarser mesh, or no equilibrium on it. Nothing is added where the meshes differ much, or one
-    of them snaps and the other does not: they are not on one way to a limit.
+    of them snaps and the other does not: they do not converge to one limit yet.
     """
     coarser = [part for other, (_, part) in meshes.items() if other < refine]
     if not coarser:
@@ -379,10 +382,16 @@ def probed_meshes(
 
 
 def linear_limit(meshes: ProbedMeshes) -> DiscretisationError | None:
-    """Linear motion on elements of size 0, extrapolated from meshes; None of a single one."""
+    """Linear motion on elements of size 0, extrapolated from meshes.
+
+    None where there is a single mesh, or one of them cannot be solved to the accuracy of rounding.
+    """
     if len(meshes) == 1:
         return None
-    return estimate_error(lambda level: meshes[level][1], tuple(meshes))
+    try:
+        return estimate_error(lambda level: meshes[level][1], tuple(meshes))
+    except NumericalError:
+        return None
 
 
 def _beyond(place: ContactPatch, what: str) -> str:
