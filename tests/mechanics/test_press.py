@@ -9,6 +9,7 @@ import meshio
 import numpy as np
 import pytest
 
+from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of
 from phytac_design.layout.sensor import Sensor
@@ -46,7 +47,13 @@ def pressed(force: float, theory: str, **options: Any) -> Press:
 
 
 def alone(
-    force: float, theory: str, refine: int = 2, *, sensor: Sensor | None = None, at: str = "45"
+    force: float,
+    theory: str,
+    refine: int = 2,
+    *,
+    sensor: Sensor | None = None,
+    at: str = "45",
+    receptors: bool = True,
 ) -> Press:
     """A press on the one mesh that holds the markers."""
 
@@ -60,7 +67,7 @@ def alone(
         patch.setattr(module, "marker_mesh", mesh_of)
         on = sensor or Sensor.of(DESIGN, SURFACE, MARKERS)
         patch_on = parse_contact_patch(on, force_N=force, at=at)
-        return press(on, patch_on, theory=theory, refine=refine)
+        return press(on, patch_on, theory=theory, refine=refine, receptors=receptors)
 
 
 def test_place_is_a_marker_a_position_or_the_middle() -> None:
@@ -242,9 +249,8 @@ def test_motion_is_extrapolated_and_its_error_claimed() -> None:
     assert plain.mesh_error is None
 
 
-def test_a_flat_wall_that_stretches_is_no_worse_for_extrapolation() -> None:
-    """It moves half as far as linear theory has it; what that lacks on a mesh is added in part."""
-    flat = of_shape(
+def flat_design(thickness_mm: float) -> Design:
+    return of_shape(
         "plane",
         {"width_mm": 48.0, "height_mm": 36.0},
         {
@@ -255,9 +261,13 @@ def test_a_flat_wall_that_stretches_is_no_worse_for_extrapolation() -> None:
             "height_near_mm": 2.0,
             "colour_pattern": "checkerboard",
         },
-        wall={"thickness_mm": 0.5},
+        wall={"thickness_mm": thickness_mm},
     )
-    sensor = Sensor(flat)
+
+
+def test_a_flat_wall_that_stretches_is_no_worse_for_extrapolation() -> None:
+    """It moves half as far as linear theory has it; what that lacks on a mesh is added in part."""
+    sensor = Sensor(flat_design(0.5))
     fine, plain = (alone(5.0, "large", n, sensor=sensor, at="17") for n in (9, 3))
     patch = parse_contact_patch(sensor, force_N=5.0, at="17")
     done = press(sensor, patch, theory="large", refine=3)
@@ -271,6 +281,16 @@ def test_a_flat_wall_that_stretches_is_no_worse_for_extrapolation() -> None:
     assert done.mesh_error is not None
     assert off(done) < off(plain)
     assert off(done) < done.mesh_error
+
+
+def test_the_linear_term_is_scaled_down_on_a_thin_flat_wall() -> None:
+    """In full it would be 5 % of the motion on this coarse mesh."""
+    sensor = Sensor(flat_design(0.4))
+    patch = parse_contact_patch(sensor, force_N=20.0, at="17")
+    fine = alone(20.0, "large", 5, sensor=sensor, at="17", receptors=False).tip_mm
+    done = press(sensor, patch, theory="large", refine=2, receptors=False).tip_mm
+    size = np.linalg.norm(fine, axis=1).max()
+    assert np.linalg.norm(done - fine, axis=1).max() < 0.03 * size
 
 
 def test_meshes_that_snap_differently_are_not_extrapolated(monkeypatch: pytest.MonkeyPatch) -> None:
