@@ -58,6 +58,8 @@ SHORT: tuple[tuple[str, str], ...] = (
     ("mechanics", "speed: one load, error 1 % of the peak, both on even meshes"),
     ("mechanics", "speed: one load, error 1 % of the peak, both extrapolated from two graded"),
     ("mechanics", "speed: a hundred loads, error 1 %, ours extrapolated"),
+    ("mechanics", "mesh error: linear presses"),
+    ("mechanics", "mesh error: presses with large displacements"),
     ("decoder", "cylinder60 unit 1, frames: held-out contacts"),
     ("decoder", "cylinder60 unit 1, frames: fem, middle heights"),
     ("decoder", "cylinder60 unit 1, frames: fem_nn, middle heights"),
