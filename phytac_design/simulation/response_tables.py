@@ -50,9 +50,10 @@ HIGHER_ORDER_SPACING = 2.0
 """Distance of places at which the higher powers of the force, and force along the surface, are
 solved, over that of places: they are a small part of the shifts, and are interpolated."""
 
-ADDED_SPACING_MAX = 0.85
-"""Distance of those places over the patches' radius up to which what extrapolation adds to linear
-motion is interpolated between them. Farther apart that costs 0.5 % of it, 2 to 3 % beside rims."""
+CORRECTION_SPACING_MAX = 0.85
+"""Distance of those places over the patches' radius up to which the correction of linear motion, by
+extrapolation over meshes, is interpolated between them. At 1.6, shifts would be 0.5 % off because
+of that, and 2 to 3 % beside rims."""
 
 
 NONE = np.zeros(0)
@@ -325,9 +326,8 @@ def tabulate_responses(
     if near(apart, rings(surface, apart, sectors).uv).sum() < PLACES_MIN:
         apart = spacing
     extrapolated = ExtrapolatedResponse(design, surface, markers, pair) if pair else None
-    # Places that stand close may have what extrapolation adds interpolated.
-    added = extrapolated is not None and apart <= ADDED_SPACING_MAX * radius
-    pressed = extrapolated if extrapolated and not added else first
+    corrected = extrapolated is not None and apart <= CORRECTION_SPACING_MAX * radius
+    pressed = extrapolated if extrapolated and not corrected else first
     places, uv, solves = grid.table(
         spacing, 1, lambda at: pressed.motions(at, radius), lambda each: see.powers(each, NONE)
     )
@@ -342,11 +342,13 @@ def tabulate_responses(
             what=", force along the surface",
         )[0]
 
-    shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=orders)
-    if orders > 1 or added:
+    shell = first
+    if orders > 1:
+        shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=orders)
+    if orders > 1 or corrected:
         beyond = _beyond_linear(grid, apart, shell, see, extrapolated)
         rows = interpolate_responses(beyond.table, places.point_mm)
-        rows[:, 0] = places.shift_px[:, 0] + (rows[:, 0] if added else 0.0)
+        rows[:, 0] = places.shift_px[:, 0] + (rows[:, 0] if corrected else 0.0)
         places = places.with_rows(rows.astype(np.float32))
     places = replace(places, shear=shear(apart))
     claimed = list(extrapolated.claimed) if extrapolated else []
@@ -389,7 +391,7 @@ class _BeyondLinear(NamedTuple):
     Attributes
     ----------
     table : ResponseTable
-        What extrapolation adds to the first power of the force (0 without), then the others.
+        Correction of the first power of the force by extrapolation (0 without), then the others.
     solves, unsure : int
         Places solved, and those of them without higher powers.
     ratio : float

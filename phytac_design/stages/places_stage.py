@@ -1,5 +1,6 @@
 """What a contact at any place does to the markers' images: tables for the estimator ``auto``."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -54,19 +55,25 @@ def extrapolated_from(refine: int, markers: int) -> tuple[int, int] | None:
     return max(refine + refine % 2, 6), 4
 
 
-def mesh_pair(context: Context, own: tuple[ShellMesh, ShellModel]) -> MeshPair | None:
-    """Two meshes of the decoder's shell that linear motion is extrapolated from; None without.
+def mesh_pair(
+    shell: Callable[[int], tuple[ShellMesh, ShellModel]], refine: int, markers: int
+) -> MeshPair | None:
+    """Two meshes of a shell that linear motion is extrapolated from; None without.
 
-    ``own`` is the one of the accuracy's own elements, with its model.
+    Parameters
+    ----------
+    shell : callable
+        Elements per marker pitch -> mesh and model.
+    refine : int
+        Elements per marker pitch of the mesh whose tables are extrapolated.
+    markers : int
+        Number of markers.
     """
-    levels = extrapolated_from(context.accuracy.refine, context.markers.count)
+    levels = extrapolated_from(refine, markers)
     if levels is None:
         return None
     try:
-        finer, coarser = (
-            own if level == context.accuracy.refine else decoder_shell(context, level)[:2]
-            for level in levels
-        )
+        finer, coarser = (shell(level) for level in levels)
     except (DesignError, NumericalError):  # it holds no markers, or is too irregular
         return None
     far_enough = len(finer[1].quads) >= ELEMENTS_RATIO_MIN * len(coarser[1].quads)
@@ -78,6 +85,10 @@ def run_places(context: Context, folder: Path) -> None:
     design = context.design
     training, accuracy, scope = design.training, context.accuracy, scope_of(context)
     mesh, model, _ = decoder_shell(context)
+
+    def shell(refine: int) -> tuple[ShellMesh, ShellModel]:
+        return (mesh, model) if refine == accuracy.refine else decoder_shell(context, refine)[:2]
+
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     done = tabulate_responses(
         context.sensor,
@@ -87,7 +98,7 @@ def run_places(context: Context, folder: Path) -> None:
         spacing_mm=place_spacing_mm(context.surface, accuracy.place_share, radius),
         orders=accuracy.place_orders,
         near=scope.near if scope else everywhere,
-        pair=mesh_pair(context, (mesh, model)),
+        pair=mesh_pair(shell, accuracy.refine, context.markers.count),
         progress=context.progress,
     )
     places = done.places
@@ -121,8 +132,8 @@ def _mesh_error(claimed: list[float]) -> dict[str, float]:
     """Claimed error of the tables because of the meshes: median and largest of all places."""
     if not claimed:
         return {}
-    half, most = np.median(claimed), np.max(claimed)
-    return {"mesh_error": float(f"{half:.3g}"), "mesh_error_largest": float(f"{most:.3g}")}
+    median, most = np.median(claimed), np.max(claimed)
+    return {"mesh_error": float(f"{median:.3g}"), "mesh_error_largest": float(f"{most:.3g}")}
 
 
 def locator_of(context: Context) -> ContactLocator:

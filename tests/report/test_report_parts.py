@@ -19,6 +19,7 @@ from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.loaded_visibility import LoadedVisibility
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.report import explorer, press_pictures, verdict
+from phytac_design.report.report_sections import unbounded_words
 from phytac_design.stages.build import BuildResult, copy_of
 from phytac_design.stages.loaded_views_stage import Presses
 from tests.designs import small
@@ -282,6 +283,19 @@ def test_pages_fetch_nothing_and_run_nothing_without_need() -> None:
     live = page.page("t", [("A & head", "x")], "lead", tail="<script>1</script>")
     assert '<a href="#a-head">A &amp; head</a>' in live
     assert '<section id="a-head">' in live
+
+
+def test_the_bound_on_the_error_of_the_mesh_is_shown_or_said_to_be_missing(
+    built: BuildResult,
+) -> None:
+    places = json.loads((built.out / "report" / "report.json").read_text())["places"]
+    assert 0.0 < places["mesh_error"] <= places["mesh_error_largest"] < 0.3
+    html = (built.out / "report" / "report.html").read_text()
+    assert "bound on the mesh&#x27;s error in the tables of auto" in html
+    assert "no bound" not in html
+    assert unbounded_words(places) == []
+    (text,) = unbounded_words({key: places[key] for key in places if "mesh" not in key})
+    assert "forces read too large" in text
 
 
 def test_a_build_says_where_it_comes_from(built: BuildResult) -> None:

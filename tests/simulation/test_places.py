@@ -11,9 +11,7 @@ from phytac_decoder.estimation.contact_fit import ContactPrior, initial_state
 from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.mechanics.receptor_table import ReceptorTable
 from phytac_decoder.mechanics.response_table import ResponseTable
-from phytac_design.design.accuracy import settings_of
 from phytac_design.design.spec import Design
-from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
 from phytac_design.layout.sensor import Sensor
@@ -53,6 +51,7 @@ from phytac_design.stages.places_stage import (
     mesh_pair,
 )
 from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import NumericalError
 from tests.designs import FINE_CAMERA, drawn, of_shape, small
 
 
@@ -365,10 +364,14 @@ def test_images_bend_as_the_lens_and_the_arms_do() -> None:
     assert np.abs(predicted).max() > 0.01
 
 
+def short_bench() -> Bench:
+    """Three rows of receptors, so that fine meshes are solved soon."""
+    return Bench(small(shape={"length_mm": 22.5}, layout={"rows": 3, "height_far_mm": 4.0}))
+
+
 def test_the_first_power_is_extrapolated_from_two_meshes() -> None:
     """Against a mesh of twelve elements a pitch, everywhere and beside rims."""
-    short = small(shape={"length_mm": 22.5}, layout={"rows": 3, "height_far_mm": 4.0})
-    bench = Bench(short)
+    bench = short_bench()
     coarse = bench.shell(4)
     plain, done = (
         bench.tables(coarse, spacing_mm=12.0, orders=1, pair=each)
@@ -391,15 +394,14 @@ def test_the_first_power_is_extrapolated_from_two_meshes() -> None:
 
 def test_powers_of_the_force_are_scaled_to_those_of_a_finer_mesh() -> None:
     """Against a mesh of nine elements a pitch, at each power's share of the greatest force."""
-    short = small(shape={"length_mm": 22.5}, layout={"rows": 3, "height_far_mm": 4.0})
-    bench = Bench(short)
+    bench = short_bench()
     coarse = bench.shell(3)
     uv = bench.surface.domain.mean(axis=1)[None]
-    radius = short.training.patch_radius_max_mm
+    radius = bench.design.training.patch_radius_max_mm
     meshes = bench.shell(6), bench.shell(4)
-    pair = ExtrapolatedResponse(short, bench.surface, bench.markers, meshes)
+    pair = ExtrapolatedResponse(bench.design, bench.surface, bench.markers, meshes)
     first = bench.see.powers(pair.motions(uv, radius)[0], NONE)[0]
-    force = 0.5 * short.training.force_max_N
+    force = 0.5 * bench.design.training.force_max_N
 
     def moved(rows: FloatArray) -> FloatArray:
         return np.asarray(force ** np.arange(1, len(rows) + 1) @ rows)
@@ -422,8 +424,7 @@ def test_powers_of_the_force_are_scaled_to_those_of_a_finer_mesh() -> None:
 
 
 def test_tables_of_several_powers_are_scaled_with_their_pairs() -> None:
-    short = small(shape={"length_mm": 22.5}, layout={"rows": 3, "height_far_mm": 4.0})
-    bench = Bench(short)
+    bench = short_bench()
     coarse = bench.shell(3)
     plain, done = (
         bench.tables(coarse, spacing_mm=4.0, orders=3, pair=pair)
@@ -449,15 +450,14 @@ def test_tables_of_several_powers_are_scaled_with_their_pairs() -> None:
     np.testing.assert_array_equal(done.places.shear.shift_px, plain.places.shear.shift_px)
 
 
-def test_what_extrapolation_adds_is_interpolated_between_close_places(
+def test_corrections_of_linear_motion_are_interpolated_between_close_places(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    short = small(shape={"length_mm": 22.5}, layout={"rows": 3, "height_far_mm": 4.0})
-    bench = Bench(short)
+    bench = short_bench()
     coarse, pair = bench.shell(3), (bench.shell(6), bench.shell(4))
     plain = bench.tables(coarse, spacing_mm=2.2, orders=1)
     solved, close = (
-        _tables_with(monkeypatch, added_max, bench, coarse, pair) for added_max in (0.0, 1.0)
+        _tables_with(monkeypatch, spacing_max, bench, coarse, pair) for spacing_max in (0.0, 1.0)
     )
     assert len(close.claimed) < 0.7 * len(solved.claimed)
     one, two, three = (each.places.shift_px[:, 0] for each in (plain, close, solved))
@@ -466,9 +466,9 @@ def test_what_extrapolation_adds_is_interpolated_between_close_places(
 
 
 def _tables_with(
-    monkeypatch: pytest.MonkeyPatch, added_max: float, bench: Bench, coarse: Any, pair: Any
+    monkeypatch: pytest.MonkeyPatch, spacing_max: float, bench: Bench, coarse: Any, pair: Any
 ) -> TabulatedResponse:
-    monkeypatch.setattr(response_tables, "ADDED_SPACING_MAX", added_max)
+    monkeypatch.setattr(response_tables, "CORRECTION_SPACING_MAX", spacing_max)
     return bench.tables(coarse, spacing_mm=2.2, orders=1, pair=pair)
 
 
@@ -477,11 +477,18 @@ def test_tables_of_all_but_the_coarsest_meshes_are_extrapolated() -> None:
     assert levels == {2: None, 3: (6, 4), 4: (6, 4), 6: (6, 4), 7: (8, 4), 8: (8, 4)}
     assert extrapolated_from(4, EXTRAPOLATED_MARKERS_MAX + 1) is None
     own = BENCH.shell(4)
-    context = Context(design=DESIGN, accuracy=settings_of("standard"), seed=0)
-    pair = mesh_pair(context, own)
-    assert pair is not None
-    assert pair[1] is own
-    assert len(pair[0][0].quads) > 2.0 * len(own[0].quads)
+    shells = {4: own, 6: BENCH.shell(6)}
+    assert mesh_pair(shells.__getitem__, 4, 100) == (shells[6], own)
+    assert mesh_pair(shells.__getitem__, 4, EXTRAPOLATED_MARKERS_MAX + 1) is None
+    # Meshes that are too alike.
+    assert mesh_pair(lambda _: own, 4, 100) is None
+
+    def refused_if_fine(refine: int) -> Any:
+        if refine == 6:
+            raise NumericalError("mesh-distorted", "its elements are too irregular")
+        return own
+
+    assert mesh_pair(refused_if_fine, 4, 100) is None
 
 
 def test_linear_theory_alone_is_the_first_power() -> None:

@@ -8,7 +8,7 @@ with ρ the ratio of the extrapolated to its own linear motion, by least squares
     u(F) = u_h(ρ F) + F (u_lin − ρ u_lin,h)
 
 The last term is scaled down where the shell moves less than linear theory predicts. Large
-displacements are so solved on the mesh and on the coarser one, and extrapolated again.
+displacements are solved like this on the mesh and on the coarser one, and extrapolated from both.
 """
 
 import time
@@ -165,7 +165,7 @@ def press(
     if not 0.0 < tolerance < np.inf:
         raise DesignError("tolerance-invalid", f"the tolerance must be positive (got {tolerance})")
     start = time.perf_counter()
-    progress("press: meshes")
+    progress("press: making meshes")
     meshes = probed_meshes(
         sensor, place.uv[None], place.radius_mm, refine=refine, receptors=receptors
     )
@@ -174,20 +174,20 @@ def press(
     mesh, probed = meshes[refine]
     limit = linear_limit(meshes)
     linear = limit.extrapolated if limit else probed.read(probed.model.solve(probed.loads).motion)
-    level = _Level(probed, place.force_N, linear)
-    check = QuasiNewtonSolver(probed.model).expand(level.load)
+    scaled = _ScaledPress(probed, place.force_N, linear)
+    check = QuasiNewtonSolver(probed.model).expand(scaled.load)
     motion, residual, end = check.first.reshape(-1, 6), 0.0, None
     large = theory == "large" or (
         theory == "auto" and LINEAR_ERROR_SAFETY * check.error > tolerance
     )
     if large:
         progress(f"press: linear is about {100 * check.error:.2g} % off; large displacements")
-        end = _large_motion(probed.model, level.load, place)
+        end = _large_motion(probed.model, scaled.load, place)
         motion, residual = end.state.motion, end.residual
-    moved = level.moved(motion, large=large)
+    moved = scaled.moved(motion, large=large)
     mesh_error = float(limit.relative[0]) if limit else None
     if end and mesh_error is not None:
-        moved, beyond = _extrapolated_large(meshes, refine, level, end, moved)
+        moved, beyond = _extrapolated_large(meshes, refine, scaled, end, moved)
         mesh_error = None if beyond is None else mesh_error + beyond
     strain = bending_strain(mesh, motion)
     strain_limit = 0.1  # theory takes strains as small
@@ -231,13 +231,13 @@ def press(
         jumped=end.jumped if end else False,
         mesh_error=mesh_error,
         linear_error=check.error,
-        rounding=level.rounding,
+        rounding=scaled.rounding,
         residual=residual,
         seconds=seconds,
     )
 
 
-class _Level:
+class _ScaledPress:
     """A press on one mesh, under a force scaled to it.
 
     Parameters
@@ -288,7 +288,7 @@ def read_motion(probed: ProbedShell, motion: FloatArray, *, large: bool) -> Floa
 
 
 def _extrapolated_large(
-    meshes: ProbedMeshes, refine: int, level: _Level, end: Equilibrium, moved: FloatArray
+    meshes: ProbedMeshes, refine: int, own: _ScaledPress, end: Equilibrium, moved: FloatArray
 ) -> tuple[FloatArray, float | None]:
     """Large displacements (n, 3) of probes, extrapolated with the coarser mesh, and their error.
 
@@ -299,12 +299,12 @@ def _extrapolated_large(
     coarser = [part for other, (_, part) in meshes.items() if other < refine]
     if not coarser:
         return moved, None
-    other = _Level(coarser[0], level.force_N, level.linear)
+    other = _ScaledPress(coarser[0], own.force_N, own.linear)
     try:
         found = solve_large(other.part.model, other.load)[0]
     except NumericalError:
         return moved, None
-    ratio = len(level.part.model.quads) / len(other.part.model.quads)
+    ratio = len(own.part.model.quads) / len(other.part.model.quads)
     step = (moved - other.moved(found.state.motion, large=True)) / (ratio - 1.0)
     settings = discretisation.SETTINGS
     alike = (found.jumped, found.stable) == (end.jumped, end.stable)

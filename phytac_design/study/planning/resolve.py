@@ -18,7 +18,7 @@ from phytac_shapes.errors import DesignError
 
 SERIES_REFINE_MIN = 4
 """Elements per marker pitch of tables of more than one power of the force: with 3 the worst of
-`fingertip`'s presses on flat walls were 11 % off in place of 8."""
+`fingertip`'s presses on `cuboid` is 7.3 % off in place of 6.2; elsewhere it is the same."""
 STAGES_OF: dict[str, tuple[str, ...]] = {
     "views": ("views",),
     "visibility": ("views",),
@@ -250,7 +250,7 @@ def _theory(accuracy: Accuracy, scene: Scene, off: float, why: dict[str, str]) -
     refine = accuracy.refine
     if refine < SERIES_REFINE_MIN:
         refine = SERIES_REFINE_MIN
-        why["mesh"] = f"{refine} elements a marker pitch, as powers of the force need on flat walls"
+        why["mesh"] = f"{refine} elements a marker pitch, for powers of the force on flat walls"
     allowed = scene.error_allowed
     press = max(min(accuracy.press_tolerance, allowed), allowed / 2.0)
     return replace(accuracy, refine=refine, place_orders=orders, press_tolerance=press)

@@ -10,9 +10,8 @@ Included: the mesh, receptors, the theory, and the interpolation between tabulat
 included: noise, the estimation of place, size and number of contacts, print scatter, networks.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +39,7 @@ from phytac_design.simulation.pressed_series import (
 )
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm, rings
-from phytac_design.stages.places_stage import extrapolated_from
+from phytac_design.stages.places_stage import mesh_pair
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError, NumericalError
@@ -182,16 +181,11 @@ class ForceError:
 
     def _linear_rows(self, refine: int, *, receptors: bool) -> FloatArray:
         """S₁ (c, 2n) likewise, extrapolated where a build does that."""
-        levels = extrapolated_from(refine, self.sensor.markers.count)
-        if levels:
-            with suppress(DesignError):  # no mesh of that size holds the markers
-                return self._extrapolated_rows(levels, receptors)
-        return self.rows(refine, receptors=receptors, orders=1)[:, 0]
-
-    def _extrapolated_rows(self, levels: tuple[int, int], receptors: bool) -> FloatArray:
         sensor = self.sensor
-        finer, coarser = (self.shell(n, receptors=receptors) for n in levels)
-        shell = ExtrapolatedResponse(self.design, sensor.surface, sensor.markers, (finer, coarser))
+        pair = mesh_pair(partial(self.shell, receptors=receptors), refine, sensor.markers.count)
+        if pair is None:
+            return self.rows(refine, receptors=receptors, orders=1)[:, 0]
+        shell = ExtrapolatedResponse(self.design, sensor.surface, sensor.markers, pair)
         motions = shell.motions(self.contacts.uv, float(self.contacts.radius_mm[0]))
         return np.stack([self.imaging.powers(one, np.zeros(0))[0] for one in motions])
 

@@ -45,7 +45,7 @@ def test_finer_meshes_and_series_err_less(error: ForceError) -> None:
     ]
     errors = [rms(error.errors(setting)) for setting in settings]
     assert errors[:3] == sorted(errors[:3], reverse=True)
-    # From 3 elements on the linear part is extrapolated, and what is left is the interpolation.
+    # From 3 elements on the linear part is extrapolated, and only the interpolation errs.
     assert errors[3] == pytest.approx(errors[2], rel=0.1)
     assert errors[-1] < 0.5 * errors[1]
 
