@@ -112,12 +112,24 @@ def listener_of(words: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
+def wait_for_rows(path: Path, name: str, count: int, within_s: float = 60.0) -> None:
+    """Wait until a file that is being written holds so many rows of a component."""
+    end_s = time.monotonic() + within_s
+    while time.monotonic() < end_s:
+        with contextlib.suppress(RuntimeError, OSError):  # not there yet, or half a message
+            if len(columns(path).get(name, [])) >= count:
+                return
+        time.sleep(0.05)
+    raise TimeoutError(f"{path.name} has no {count} rows of {name} after {within_s:g} s")
+
+
 @UNFOOTED
 def test_a_viewer_gets_what_a_file_gets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     monkeypatch.setattr(rerun_recording, "VIEWER_PORT", port)
     words = ("--bind", "127.0.0.1", "--port", str(port), "--save", str(tmp_path / "shown.rrd"))
+    name = "force/net_N:Scalars:scalars"
     # Rerun's own program in the viewer's place: it needs no display.
     with listener_of(words) as listener:
         while not rerun_recording._listens():
@@ -129,9 +141,9 @@ def test_a_viewer_gets_what_a_file_gets(tmp_path: Path, monkeypatch: pytest.Monk
                 for recorder in kept.values():
                     recorder.add(message)
             assert rows_text(kept).endswith(", 3 rows in Rerun's viewer")
+        wait_for_rows(tmp_path / "shown.rrd", name, 2)  # it writes what it has received later
         os.killpg(listener.pid, signal.SIGINT)
         listener.wait(60.0)
-    name = "force/net_N:Scalars:scalars"
     shown, kept_file = columns(tmp_path / "shown.rrd"), columns(tmp_path / "out.rrd")
     assert shown[name] == kept_file[name] == [[0.0, 0.0, -4.5]] * 2
 
