@@ -40,8 +40,14 @@ from phytac_design.simulation.pressed_series import (
     MeshPair,
     scaled_powers,
 )
+from phytac_design.simulation.turned_places import (
+    markers_turn,
+    rings,
+    symmetry_of,
+    turned_receptors,
+)
 from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
 
 NearScene = Callable[[float, FloatArray], BoolArray]
@@ -63,25 +69,6 @@ NONE = np.zeros(0)
 def everywhere(_: float, uv: FloatArray) -> BoolArray:
     """All places (p, 2) are wanted, (p,)."""
     return np.ones(len(uv), dtype=np.bool_)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlaceRings:
-    """Places over a surface, in rings along u.
-
-    Attributes
-    ----------
-    uv : (p, 2) float
-        Places.
-    base : (p,) int
-        The place of the same ring that each is a turned copy of; itself where it is none.
-    turns : (p,) int
-        By how many sectors it is turned from there.
-    """
-
-    uv: FloatArray
-    base: IntArray
-    turns: IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,37 +105,6 @@ class TabulatedResponse:
     spacing_mm: float
     give: list[float]
     claimed: list[float]
-
-
-def rings(surface: Surface, spacing_mm: float, sectors: int) -> PlaceRings:
-    """Places at most about ``spacing_mm`` apart; ``sectors`` > 1 repeats them around so often."""
-    (u0, u1), (v0, v1) = surface.domain
-    u, v = np.linspace(u0, u1, 513), np.linspace(v0, v1, 65)
-    grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-    metric = surface.metric(grid).reshape(len(u), len(v), 2, 2)
-    along = np.sqrt(metric[..., 0, 0]).max(axis=1)
-    length = np.append(0.0, np.cumsum((along[1:] + along[:-1]) / 2.0 * np.diff(u)))
-    around = np.trapezoid(np.sqrt(metric[..., 1, 1]), v, axis=1)
-    steps = max(int(np.ceil(length[-1] / spacing_mm)), 2)
-    uv: list[tuple[float, float]] = []
-    base: list[int] = []
-    turns: list[int] = []
-    for place in np.linspace(0.0, length[-1], steps + 1):
-        at = float(np.interp(place, length, u))
-        width = float(np.interp(at, u, around))
-        start = len(uv)
-        if not surface.periodic[1]:
-            number = max(int(np.ceil(width / spacing_mm)), 2)
-            uv += [(at, float(k)) for k in np.linspace(v0, v1, number + 1)]
-            base += range(start, len(uv))
-            turns += [0] * (number + 1)
-            continue
-        per = max(int(np.ceil(width / spacing_mm / sectors)), 1)
-        number = 1 if width < 1e-6 * length[-1] else per * sectors
-        uv += [(at, v0 + (v1 - v0) * k / number) for k in range(number)]
-        base += [start + k % per for k in range(number)]
-        turns += [k // per for k in range(number)]
-    return PlaceRings(uv=np.array(uv), base=np.array(base), turns=np.array(turns))
 
 
 def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
@@ -237,7 +193,8 @@ class _Grid:
                 for row in rows:
                     times = int(ring.turns[wanted[row]])
                     turned = [
-                        _turned(one, self.turn, times, columns, self.sectors) for one in motions
+                        turned_receptors(one, self.turn, times, columns, self.sectors)
+                        for one in motions
                     ]
                     shifts = image(turned)
                     out[row, : len(shifts)] = shifts
@@ -304,7 +261,7 @@ def tabulate_responses(
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     columns = markers.lattice.columns if markers.lattice else 1
     sectors, turn = turns_of(model, mesh, columns)
-    even = turn is not None and _markers_turn(markers, turn, columns // sectors)
+    even = turn is not None and markers_turn(markers, turn, columns // sectors)
     if pair is not None:
         even &= all(column_turn(each, on, sectors) is not None for on, each in pair)
     if not even:
@@ -370,7 +327,7 @@ def tabulate_responses(
     # Of contacts on flat walls tension decides; beyond the expansion pairs on other flat parts
     # would double the errors, while on curved walls they still help (patch).
     holds = beyond.unsure == 0 and not give and (shell.beyond == 0 or not places.flat.any())
-    pairs = _pairs(shell, see, radius, near, progress) if holds else None
+    pairs = _pairs(grid, shell, see) if holds else None
     if pairs:
         pairs = pairs.scaled(1.0 / beyond.ratio)
     return TabulatedResponse(
@@ -437,22 +394,25 @@ def _beyond_linear(
     return _BeyondLinear(table=table, solves=solves, unsure=unsure, ratio=float(np.median(ratios)))
 
 
-def _pairs(
-    shell: DiscResponse,
-    see: ImageResponse,
-    radius_mm: float,
-    near: NearScene,
-    progress: Callable[[str], None],
-) -> InteractionTable | None:
+def _pairs(grid: _Grid, shell: DiscResponse, see: ImageResponse) -> InteractionTable | None:
     """Tables of pairs of places; None where too few are wanted, or the shell is too large."""
     if len(shell.model.quads) > SETTINGS.elements_max:
         return None
-    apart = pair_spacing_mm(shell.surface.area_mm2(), radius_mm)
-    uv = rings(shell.surface, apart, 1).uv
-    uv = uv[near(apart, uv)]
-    if len(uv) < PLACES_MIN:
+    apart = pair_spacing_mm(shell.surface.area_mm2(), grid.radius_mm)
+    most = SETTINGS.more_places * len(rings(shell.surface, apart, 1).uv)
+    sectors = grid.sectors
+    while grid.sectors % sectors or len(rings(shell.surface, apart, sectors).uv) > most:
+        sectors -= 1
+    ring = rings(shell.surface, apart, sectors)
+    wanted = grid.near(apart, ring.uv)
+    if wanted.sum() < PLACES_MIN:
         return None
-    return InteractionSolver(shell, see, uv, radius_mm).pairs(progress)
+    symmetry = None
+    if grid.turn is not None and wanted.all():
+        turn = np.linalg.matrix_power(grid.turn, grid.sectors // sectors)
+        symmetry = symmetry_of(shell.mesh, grid.markers, see, ring, sectors, turn)
+    solver = InteractionSolver(shell, see, ring.uv[wanted], grid.radius_mm, symmetry)
+    return solver.pairs(grid.progress)
 
 
 def interpolate_responses(places: ResponseTable, points_mm: FloatArray) -> FloatArray:
@@ -465,23 +425,3 @@ def interpolate_responses(places: ResponseTable, points_mm: FloatArray) -> Float
         powers = np.stack([x**a * y**b / (factorial(a) * factorial(b)) for a, b in TERMS])
         out[own] = np.einsum("tm,tkr->mkr", powers, places.cubic(place))
     return out
-
-
-def _markers_turn(markers: Markers, turn: FloatArray, step: int) -> bool:
-    """Whether markers land on those ``step`` columns on."""
-    if markers.lattice is None or markers.count % markers.lattice.columns:
-        return False
-    mid = markers.mid_mm.reshape(-1, markers.lattice.columns, 3)
-    gap = np.abs(mid @ turn.T - np.roll(mid, -step, axis=1)).max()
-    return bool(gap <= 1e-6 * np.abs(mid).max())
-
-
-def _turned(
-    motion: FloatArray, turn: FloatArray | None, times: int, columns: int, sectors: int
-) -> FloatArray:
-    """Motion (n, 6) of a load that is turned by some sectors."""
-    if turn is None or times == 0:
-        return motion
-    power = np.linalg.matrix_power(turn, times)
-    field = motion.reshape(-1, columns, 2, 3) @ power.T
-    return np.asarray(np.roll(field, times * (columns // sectors), axis=1).reshape(motion.shape))

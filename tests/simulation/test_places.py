@@ -25,6 +25,7 @@ from phytac_design.simulation.interaction_tables import (
     InteractionSettings,
     InteractionSolver,
     image_curvature,
+    pair_spacing_mm,
 )
 from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import (
@@ -39,12 +40,12 @@ from phytac_design.simulation.response_tables import (
     TabulatedResponse,
     interpolate_responses,
     place_spacing_mm,
-    rings,
     tabulate_responses,
 )
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
+from phytac_design.simulation.turned_places import PlaceRings, Symmetry, rings, symmetry_of
 from phytac_design.stages.places_stage import (
     EXTRAPOLATED_MARKERS_MAX,
     extrapolated_from,
@@ -338,6 +339,83 @@ def test_coordinates_of_pairs_are_those_of_their_own_images(
         assert np.abs((made.grid.shift_px[i, k] - wanted) / size).max() < 1e-3
     left = np.linalg.norm(images - wanted @ axes) / np.linalg.norm(images)
     assert left < 0.4
+
+
+def around(sectors: int, spacing_mm: float, shell: DiscResponse) -> tuple[PlaceRings, Symmetry]:
+    """Places of the small cylinder in so many sectors, and its symmetry."""
+    ring = rings(SURFACE, spacing_mm, sectors)
+    found = symmetry_of(shell.mesh, MARKERS, SEE, ring, sectors, turn_by(1.0 / sectors))
+    assert found is not None
+    return ring, found
+
+
+def turn_by(share: float) -> FloatArray:
+    """Rotation about the axis by a share of a full turn."""
+    c, s = np.cos(2.0 * np.pi * share), np.sin(2.0 * np.pi * share)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("sectors", [2, 14])
+def test_motions_and_pairs_of_one_sector_turn_into_all(
+    sectors: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(interaction_tables, "SETTINGS", InteractionSettings(axes_max=96))
+    shell = BENCH.discs(*BENCH.shell(2))
+    ring, symmetry = around(sectors, 8.0, shell)
+    each, turned = (InteractionSolver(shell, SEE, ring.uv, 4.0, how) for how in (None, symmetry))
+    assert len(turned.base) * sectors == len(ring.uv)
+    np.testing.assert_allclose(turned.motion, each.motion, atol=1e-7 * np.abs(each.motion).max())
+    made = turned.pairs()
+    later = np.flatnonzero(ring.turns == sectors - 1)
+    pairs = each.drawn()
+    some = pairs[np.isin(pairs[:, 0], later)][::3]
+    assert len(some) > 6
+    images = each.images(some)
+    for i, k in (some.T, some.T[::-1]):
+        found = made.grid.shift_px[i, k] @ made.axes_px
+        # Not all of an image lies along so few axes.
+        plain = images @ made.axes_px.T @ made.axes_px
+        assert np.linalg.norm(found - plain) < 1e-4 * np.linalg.norm(images)
+        assert np.linalg.norm(found - images) < 0.15 * np.linalg.norm(images)
+
+
+def test_a_camera_off_the_axis_sees_no_symmetry() -> None:
+    shell = BENCH.discs(*BENCH.shell(2))
+    _, found = around(7, 8.0, shell)
+    np.testing.assert_allclose(found.image, turn_by(1.0 / 7)[:2, :2].T, atol=1e-9)
+    mid = MARKERS.mid_mm
+    (camera,) = SEE.readers.cameras
+    aside = replace(camera, position_mm=np.add(camera.position_mm, [0.5, 0.0, 0.0]))
+    see = ImageResponse(replace(SEE.readers, cameras=(aside,)), mid, SEE.arm_mm)
+    ring = rings(SURFACE, 8.0, 7)
+    assert symmetry_of(shell.mesh, MARKERS, see, ring, 7, turn_by(1.0 / 7)) is None
+    assert symmetry_of(shell.mesh, MARKERS, SEE, ring, 1, np.eye(3)) is None
+
+
+@pytest.mark.parametrize(("more", "sectors"), [(1.0, 2), (9.0, 14)])
+def test_pairs_have_hardly_more_places_for_symmetry(
+    more: float, sectors: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rings hold as many places in each sector, which may be many more than they need."""
+    settings = InteractionSettings(more_places=more, axes_max=2, spacing_share=2.9)
+    monkeypatch.setattr(response_tables, "SETTINGS", settings)
+    monkeypatch.setattr(interaction_tables, "SETTINGS", settings)
+    found: list[Symmetry | None] = []
+
+    def noted(*args: Any) -> Symmetry | None:
+        found.append(symmetry_of(*args))
+        return found[-1]
+
+    monkeypatch.setattr(response_tables, "symmetry_of", noted)
+    pairs = made(2, spacing_mm=8.0, orders=3).places.pairs
+    assert pairs is not None
+    apart = pair_spacing_mm(SURFACE.area_mm2(), pairs.grid.radius_mm)
+    fewest, own, most = (len(rings(SURFACE, apart, each).uv) for each in (1, sectors, 14))
+    assert fewest < most
+    assert len(pairs.grid.point_mm) == own <= more * fewest
+    (symmetry,) = found
+    assert symmetry is not None
+    assert symmetry.sectors == sectors
 
 
 def test_shells_of_too_many_elements_have_no_tables_of_pairs(

@@ -38,7 +38,8 @@ from phytac_design.simulation.pressed_series import (
     scaled_powers,
 )
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm, rings
+from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm
+from phytac_design.simulation.turned_places import rings
 from phytac_design.stages.places_stage import mesh_pair
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray

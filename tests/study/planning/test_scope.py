@@ -8,8 +8,8 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import draw_contacts
-from phytac_design.simulation.response_tables import rings
 from phytac_design.simulation.scenario.scene_scope import Scope, windows_of
+from phytac_design.simulation.turned_places import rings
 from tests.designs import changed, small
 from tests.refusals import refused
 
