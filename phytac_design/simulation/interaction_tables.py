@@ -27,7 +27,7 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.mechanics.large.cubic_stiffness import DOFS, cubic_stiffness
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
-from phytac_design.simulation.turned_places import Symmetry
+from phytac_design.simulation.turned_places import SectorSymmetry
 from phytac_shapes.arrays import FloatArray, IntArray
 
 
@@ -38,7 +38,7 @@ class InteractionSettings:
     spacing_share: float = 2.2
     """Distance of places over the disc's radius."""
     places_max: int = 250
-    """Places at most: tables grow by their square."""
+    """Places at most, without symmetry: tables grow by their square."""
     pairs_per_axis: int = 3
     """Pairs drawn at random, for each axis."""
     near_radii: float = 6.0
@@ -56,11 +56,10 @@ class InteractionSettings:
     difference_step: float = 1e-2
     """Motion (mm and rad) of the differences for the image's bend."""
     copied_images: float = 4.0
-    """Images that axes are found from where turned copies are among them, over those without:
-    copies resemble one another. Errors of pairs fall by a third from 1 to 4, hardly beyond."""
+    """With symmetry: images that axes are found from, turned copies included, over those without.
+    Copies resemble one another, so that it takes more. Errors fall by a third from 1 to 4."""
     more_places: float = 1.3
-    """How many times as many places there may be for the sake of symmetry: rings hold as many in
-    each sector."""
+    """With symmetry: places at most, over those without. Rings hold as many in each sector."""
 
 
 SETTINGS = InteractionSettings()
@@ -123,7 +122,7 @@ class InteractionSolver:
         Places.
     radius_mm : float
         Of the discs.
-    symmetry : Symmetry, optional
+    symmetry : SectorSymmetry, optional
         Of the sensor and the places.
     """
 
@@ -133,7 +132,7 @@ class InteractionSolver:
         see: ImageResponse,
         uv: FloatArray,
         radius_mm: float,
-        symmetry: Symmetry | None = None,
+        symmetry: SectorSymmetry | None = None,
     ) -> None:
         self.shell, self.see, self.uv, self.radius_mm = shell, see, uv, radius_mm
         self.symmetry = symmetry
@@ -160,7 +159,7 @@ class InteractionSolver:
         if self.symmetry is None:
             return found
         out = np.empty((len(found), len(self.uv)))
-        for places, motion in self.symmetry.copies(found, self.symmetry.motion):
+        for places, motion in self.symmetry.copies(found, self.symmetry.turn_nodes):
             out[:, places] = motion
         return out
 
@@ -190,21 +189,32 @@ class InteractionSolver:
         """Axes (r, 2n) of the images, each of unit length."""
         images = self.images(self.drawn())
         if self.symmetry:
-            copies = self.symmetry.copies(images, self.symmetry.shifts)
+            copies = self.symmetry.copies(images, self.symmetry.turn_shifts)
             images = np.concatenate([each for _, each in copies])
         _, size, axes = np.linalg.svd(images, full_matrices=False)
-        return np.asarray(axes[: SETTINGS.axes_max][size[: SETTINGS.axes_max] > 0.0])
+        count = min(SETTINGS.axes_max, int((size > 0.0).sum()))
+        # Axes of one size turn into each other: they are kept together, or none of them.
+        while self.symmetry and 1 < count < len(size) and _alike(size, count):
+            count -= 1
+        return np.asarray(axes[:count])
 
     def drawn(self) -> IntArray:
-        """Pairs (k, 2) of places that do not overlap, near ones more often."""
+        """Pairs (k, 2) of places that do not overlap, near ones more often.
+
+        No two are the same, or turned copies of each other.
+        """
         gap = np.linalg.norm(self.point_mm[self.base, None] - self.point_mm[None], axis=2)
         first, other = np.nonzero(gap > 2.0 * self.radius_mm)
-        once = (self.base[first] < other) | ~np.isin(other, self.base)
+        count = SETTINGS.pairs_per_axis * SETTINGS.axes_max
+        one, two, turns, sectors = self.base[first], other, np.zeros_like(other), 1
+        if self.symmetry:
+            ring, sectors = self.symmetry.ring, self.symmetry.sectors
+            two, turns = ring.base[other], ring.turns[other]
+            count = min(count, round(SETTINGS.copied_images * count / sectors))
+        # From the other place, the pair is turned back.
+        once = (one < two) | ((one == two) & (turns <= -turns % sectors))
         first, other = first[once], other[once]
         near = gap[first, other] < SETTINGS.near_radii * self.radius_mm
-        count = SETTINGS.pairs_per_axis * SETTINGS.axes_max
-        if self.symmetry:
-            count = round(SETTINGS.copied_images * count / self.symmetry.sectors)
         rng = np.random.default_rng(0)
         some = rng.permutation(np.flatnonzero(near))[: round(SETTINGS.near_share * count)]
         rest = rng.permutation(np.setdiff1d(np.arange(len(first)), some))[: count - len(some)]
@@ -264,17 +274,22 @@ class InteractionSolver:
         if self.symmetry is None:
             return terms
         place = self.symmetry.place
-        turn = (self.symmetry.shifts(axes) @ axes.T).astype(np.float32)
+        axes_turn = (self.symmetry.turn_shifts(axes) @ axes.T).astype(np.float32)
 
         def turned(values: NDArray[np.float32]) -> NDArray[np.float32]:
             out = np.empty_like(values)
-            out[:, place] = values @ turn
+            out[:, place] = values @ axes_turn
             return out
 
         out = np.empty((len(place), *terms.shape[1:]), dtype=np.float32)
         for places, values in self.symmetry.copies(terms, turned):
             out[places] = values
         return out
+
+
+def _alike(size: FloatArray, count: int) -> bool:
+    """Whether the last of so many sizes, in order, is as large as the next, but for rounding."""
+    return bool(size[count - 1] - size[count] <= 1e-9 * size[0])
 
 
 def image_curvature(see: ImageResponse, count: int) -> FloatArray:

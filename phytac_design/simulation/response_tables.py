@@ -41,10 +41,11 @@ from phytac_design.simulation.pressed_series import (
     scaled_powers,
 )
 from phytac_design.simulation.turned_places import (
+    SectorSymmetry,
     markers_turn,
     rings,
     symmetry_of,
-    turned_receptors,
+    turned_motion,
 )
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
@@ -183,7 +184,6 @@ class _Grid:
             )
         solved = np.unique(ring.base[wanted])
         copies = [np.flatnonzero(ring.base[wanted] == base) for base in solved]
-        columns = self.markers.lattice.columns if self.markers.lattice else 1
         out = np.zeros((len(wanted), count, 2 * self.markers.count), dtype=np.float32)
         for first in range(0, len(solved), self.loads):
             batch = solved[first : first + self.loads]
@@ -191,12 +191,7 @@ class _Grid:
                 copies[first : first + self.loads], solve(ring.uv[batch]), strict=True
             ):
                 for row in rows:
-                    times = int(ring.turns[wanted[row]])
-                    turned = [
-                        turned_receptors(one, self.turn, times, columns, self.sectors)
-                        for one in motions
-                    ]
-                    shifts = image(turned)
+                    shifts = image(self._turned(motions, int(ring.turns[wanted[row]])))
                     out[row, : len(shifts)] = shifts
             self.progress(f"places: {min(first + self.loads, len(solved))} of {len(solved)}{what}")
         uv = ring.uv[wanted]
@@ -209,6 +204,15 @@ class _Grid:
             radius_mm=self.radius_mm,
         )
         return places, uv, len(solved)
+
+    def _turned(self, motions: list[FloatArray], times: int) -> list[FloatArray]:
+        """Motions (n, 6) of loads that are turned by some sectors."""
+        if self.turn is None or self.markers.lattice is None or times == 0:
+            return motions
+        turn = np.linalg.matrix_power(self.turn, times)
+        columns = self.markers.lattice.columns
+        step = times * (columns // self.sectors)
+        return [turned_motion(each, turn, columns, step) for each in motions]
 
 
 def tabulate_responses(
@@ -399,20 +403,28 @@ def _pairs(grid: _Grid, shell: DiscResponse, see: ImageResponse) -> InteractionT
     if len(shell.model.quads) > SETTINGS.elements_max:
         return None
     apart = pair_spacing_mm(shell.surface.area_mm2(), grid.radius_mm)
-    most = SETTINGS.more_places * len(rings(shell.surface, apart, 1).uv)
-    sectors = grid.sectors
-    while grid.sectors % sectors or len(rings(shell.surface, apart, sectors).uv) > most:
-        sectors -= 1
-    ring = rings(shell.surface, apart, sectors)
-    wanted = grid.near(apart, ring.uv)
+    uv = rings(shell.surface, apart, 1).uv
+    wanted = grid.near(apart, uv)
     if wanted.sum() < PLACES_MIN:
         return None
-    symmetry = None
-    if grid.turn is not None and wanted.all():
-        turn = np.linalg.matrix_power(grid.turn, grid.sectors // sectors)
-        symmetry = symmetry_of(shell.mesh, grid.markers, see, ring, sectors, turn)
-    solver = InteractionSolver(shell, see, ring.uv[wanted], grid.radius_mm, symmetry)
-    return solver.pairs(grid.progress)
+    most = round(SETTINGS.more_places * len(uv))
+    symmetry = _pair_symmetry(grid, shell, see, apart, most) if wanted.all() else None
+    uv = symmetry.ring.uv if symmetry else uv[wanted]
+    return InteractionSolver(shell, see, uv, grid.radius_mm, symmetry).pairs(grid.progress)
+
+
+def _pair_symmetry(
+    grid: _Grid, shell: DiscResponse, see: ImageResponse, apart_mm: float, places_max: int
+) -> SectorSymmetry | None:
+    """Symmetry in as many sectors as have so many places at most; None without symmetry."""
+    for sectors in range(grid.sectors, 1, -1):
+        if grid.turn is None or grid.sectors % sectors:
+            continue
+        ring = rings(shell.surface, apart_mm, sectors)
+        if len(ring.uv) <= places_max:
+            turn = np.linalg.matrix_power(grid.turn, grid.sectors // sectors)
+            return symmetry_of(shell.mesh, grid.markers, see, ring, sectors, turn)
+    return None
 
 
 def interpolate_responses(places: ResponseTable, points_mm: FloatArray) -> FloatArray:

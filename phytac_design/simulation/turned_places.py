@@ -1,7 +1,8 @@
 """Places over a surface, and how a sensor that repeats itself around turns onto itself."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,6 @@ from numpy.typing import NDArray
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.compliance import landing
 from phytac_design.simulation.pressed_series import ImageResponse
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -39,8 +39,8 @@ class PlaceRings:
     base: IntArray
     turns: IntArray
 
-    def landing(self) -> IntArray:
-        """Return the place (p,) that each lands on when all turn by one sector."""
+    def turned(self) -> IntArray:
+        """Return the place (p,) that each comes to when all turn by one sector."""
         places = list(zip(self.base.tolist(), self.turns.tolist(), strict=True))
         number = {place: k for k, place in enumerate(places)}
         return np.array([number.get((base, turns + 1), base) for base, turns in places])
@@ -78,8 +78,8 @@ def rings(surface: Surface, spacing_mm: float, sectors: int) -> PlaceRings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Symmetry:
-    """How a sensor and places on it turn onto themselves, sector by sector.
+class SectorSymmetry:
+    """How a sensor and places on it repeat themselves around, sector by sector.
 
     Attributes
     ----------
@@ -87,40 +87,49 @@ class Symmetry:
         How many.
     turn : (3, 3) float
         Rotation by one.
-    node, marker, place : (N,), (n,), (p,) int
-        The one that each lands on.
-    base : (b,) int
-        Places that all others are turned copies of.
-    image : (2, 2) float
-        Rotation of shifts: turned ones are ``shift @ image``.
+    around, columns : int
+        Nodes of the mesh, and markers, in each line around.
+    pixel_turn : (n, 2, 2) float
+        Rotation that shifts of each marker make in its camera's image: ``shift @ pixel_turn``.
+    ring : PlaceRings
+        Places.
     """
 
     sectors: int
     turn: FloatArray
-    node: IntArray
-    marker: IntArray
-    place: IntArray
-    base: IntArray
-    image: FloatArray
+    around: int
+    columns: int
+    pixel_turn: FloatArray
+    ring: PlaceRings
 
-    def motion(self, motion: FloatArray) -> FloatArray:
-        """Nodes' motion (6N, k), turned by one sector."""
-        out = np.empty_like(motion)
-        field = motion.reshape(-1, 2, 3, motion.shape[1])
-        out.reshape(field.shape)[self.node] = np.einsum("xy,nayk->naxk", self.turn, field)
-        return out
+    @cached_property
+    def base(self) -> IntArray:
+        """Places (b,) that all others are turned copies of."""
+        return np.unique(self.ring.base)
 
-    def shifts(self, shifts: FloatArray) -> FloatArray:
-        """Images (k, 2n), turned by one sector."""
-        out = np.empty_like(shifts)
-        field = shifts.reshape(len(shifts), -1, 2)
-        out.reshape(field.shape)[:, self.marker] = field @ self.image
-        return out
+    @cached_property
+    def place(self) -> IntArray:
+        """The place (p,) that each comes to by a turn."""
+        return self.ring.turned()
+
+    def turn_nodes(self, motion: FloatArray) -> FloatArray:
+        """Turn the nodes' motion (6N, k) by one sector."""
+        field = motion.reshape(-1, 6, motion.shape[1])
+        step = self.around // self.sectors
+        turned = turned_motion(field, self.turn, self.around, step)
+        return turned.reshape(motion.shape)
+
+    def turn_shifts(self, shifts: FloatArray) -> FloatArray:
+        """Turn shifts (k, 2n) by one sector."""
+        field = np.einsum("kni,nij->knj", shifts.reshape(len(shifts), -1, 2), self.pixel_turn)
+        lines = field.reshape(len(shifts), -1, self.columns, 2)
+        turned = np.roll(lines, self.columns // self.sectors, axis=2)
+        return np.asarray(turned.reshape(shifts.shape))
 
     def copies(
         self, values: NDArray[Any], turned: Callable[[NDArray[Any]], NDArray[Any]]
     ) -> Iterator[tuple[IntArray, NDArray[Any]]]:
-        """The base's places and their values, then those turned by one sector, two, and so on."""
+        """Yield the base and its values, then places and values turned by one sector, two, ..."""
         places = self.base
         for _ in range(self.sectors):
             yield places, values
@@ -134,7 +143,7 @@ def symmetry_of(
     ring: PlaceRings,
     sectors: int,
     turn: FloatArray,
-) -> Symmetry | None:
+) -> SectorSymmetry | None:
     """Symmetry of a sensor whose shell and markers repeat themselves; None if images do not.
 
     Parameters
@@ -150,41 +159,52 @@ def symmetry_of(
     """
     if sectors < 2 or mesh.around is None or markers.lattice is None:
         return None
-    around, columns = mesh.around, markers.lattice.columns
-    plain = Symmetry(
+    columns = markers.lattice.columns
+    camera = see.readers.read_by
+    found = SectorSymmetry(
         sectors=sectors,
         turn=turn,
-        node=landing(len(mesh.nodes_mm), around, around // sectors),
-        marker=landing(markers.count, columns, columns // sectors),
-        place=ring.landing(),
-        base=np.unique(ring.base),
-        image=np.eye(2),
+        around=mesh.around,
+        columns=columns,
+        pixel_turn=np.tile(np.eye(2), (markers.count, 1, 1)),
+        ring=ring,
     )
     motion = MOTION_TRIED * np.random.default_rng(0).normal(size=(markers.count, 6))
-    seen = see.shift(turned_receptors(motion, turn, 1, columns, sectors))
-    moved = plain.shifts(see.shift(motion).reshape(1, -1)).reshape(-1, 2)
-    # The rotation that is nearest (Procrustes).
-    left, _, right = np.linalg.svd(moved.T @ seen)
-    image = left @ right
-    misfit = np.linalg.norm(moved @ image - seen) / np.linalg.norm(seen)
-    return replace(plain, image=image) if misfit <= IMAGE_TOLERANCE else None
+    seen = see.shift(turned_motion(motion, turn, columns, columns // sectors))
+    moved = found.turn_shifts(see.shift(motion).reshape(1, -1)).reshape(-1, 2)
+    for each in np.unique(camera):
+        own = camera == each
+        # The rotation that is nearest (Procrustes).
+        left, _, right = np.linalg.svd(moved[own].T @ seen[own])
+        found.pixel_turn[own] = left @ right
+    moved = found.turn_shifts(see.shift(motion).reshape(1, -1)).reshape(-1, 2)
+    misfit = np.linalg.norm(moved - seen) / np.linalg.norm(seen)
+    return found if misfit <= IMAGE_TOLERANCE else None
+
+
+def turned_motion(motion: FloatArray, turn: FloatArray, around: int, step: int) -> FloatArray:
+    """Motion of nodes or receptors, turned about the axis.
+
+    Parameters
+    ----------
+    motion : (n, 6) or (n, 6, k) float
+        Translations and rotations, in lines around the axis.
+    turn : (3, 3) float
+        Rotation.
+    around : int
+        How many stand in a line.
+    step : int
+        How many of a line they move on by.
+    """
+    field = motion.reshape(-1, around, 2, 3, *motion.shape[2:])
+    turned = np.einsum("xy,lnay...->lnax...", turn, field)
+    return np.asarray(np.roll(turned, step, axis=1).reshape(motion.shape))
 
 
 def markers_turn(markers: Markers, turn: FloatArray, step: int) -> bool:
-    """Whether markers land on those ``step`` columns on."""
+    """Whether markers come to stand on those ``step`` columns on."""
     if markers.lattice is None or markers.count % markers.lattice.columns:
         return False
     mid = markers.mid_mm.reshape(-1, markers.lattice.columns, 3)
     gap = np.abs(mid @ turn.T - np.roll(mid, -step, axis=1)).max()
     return bool(gap <= 1e-6 * np.abs(mid).max())
-
-
-def turned_receptors(
-    motion: FloatArray, turn: FloatArray | None, times: int, columns: int, sectors: int
-) -> FloatArray:
-    """Motion (n, 6) of a load that is turned by some sectors."""
-    if turn is None or times == 0:
-        return motion
-    power = np.linalg.matrix_power(turn, times)
-    field = motion.reshape(-1, columns, 2, 3) @ power.T
-    return np.asarray(np.roll(field, times * (columns // sectors), axis=1).reshape(motion.shape))

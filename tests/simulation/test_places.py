@@ -38,6 +38,7 @@ from phytac_design.simulation.receptor_tables import tabulate_receptors
 from phytac_design.simulation.response_tables import (
     NONE,
     TabulatedResponse,
+    everywhere,
     interpolate_responses,
     place_spacing_mm,
     tabulate_responses,
@@ -45,7 +46,7 @@ from phytac_design.simulation.response_tables import (
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
-from phytac_design.simulation.turned_places import PlaceRings, Symmetry, rings, symmetry_of
+from phytac_design.simulation.turned_places import SectorSymmetry, rings, symmetry_of
 from phytac_design.stages.places_stage import (
     EXTRAPOLATED_MARKERS_MAX,
     extrapolated_from,
@@ -341,12 +342,8 @@ def test_coordinates_of_pairs_are_those_of_their_own_images(
     assert left < 0.4
 
 
-def around(sectors: int, spacing_mm: float, shell: DiscResponse) -> tuple[PlaceRings, Symmetry]:
-    """Places of the small cylinder in so many sectors, and its symmetry."""
-    ring = rings(SURFACE, spacing_mm, sectors)
-    found = symmetry_of(shell.mesh, MARKERS, SEE, ring, sectors, turn_by(1.0 / sectors))
-    assert found is not None
-    return ring, found
+COLUMNS = 14
+"""Of the small cylinder's markers, and its sectors."""
 
 
 def turn_by(share: float) -> FloatArray:
@@ -355,17 +352,34 @@ def turn_by(share: float) -> FloatArray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-@pytest.mark.parametrize("sectors", [2, 14])
+def symmetry_in(
+    sectors: int, shell: DiscResponse, bench: Bench = BENCH, see: ImageResponse | None = None
+) -> SectorSymmetry | None:
+    """Symmetry of a small sensor with places 8 mm apart."""
+    ring = rings(bench.surface, 8.0, sectors)
+    turn = turn_by(1.0 / sectors)
+    return symmetry_of(shell.mesh, bench.markers, see or bench.see, ring, sectors, turn)
+
+
+@cache
+def coarse_discs() -> DiscResponse:
+    return BENCH.discs(*BENCH.shell(2))
+
+
+@pytest.mark.parametrize(("sectors", "axes", "kept"), [(2, 96, 96), (14, 96, 95), (14, 98, 98)])
 def test_motions_and_pairs_of_one_sector_turn_into_all(
-    sectors: int, monkeypatch: pytest.MonkeyPatch
+    sectors: int, axes: int, kept: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(interaction_tables, "SETTINGS", InteractionSettings(axes_max=96))
-    shell = BENCH.discs(*BENCH.shell(2))
-    ring, symmetry = around(sectors, 8.0, shell)
+    """Of two axes that turn into each other, none is kept without the other."""
+    monkeypatch.setattr(interaction_tables, "SETTINGS", InteractionSettings(axes_max=axes))
+    shell, symmetry = coarse_discs(), symmetry_in(sectors, coarse_discs())
+    assert symmetry is not None
+    ring = symmetry.ring
     each, turned = (InteractionSolver(shell, SEE, ring.uv, 4.0, how) for how in (None, symmetry))
     assert len(turned.base) * sectors == len(ring.uv)
     np.testing.assert_allclose(turned.motion, each.motion, atol=1e-7 * np.abs(each.motion).max())
     made = turned.pairs()
+    assert len(made.axes_px) == kept
     later = np.flatnonzero(ring.turns == sectors - 1)
     pairs = each.drawn()
     some = pairs[np.isin(pairs[:, 0], later)][::3]
@@ -379,43 +393,115 @@ def test_motions_and_pairs_of_one_sector_turn_into_all(
         assert np.linalg.norm(found - images) < 0.15 * np.linalg.norm(images)
 
 
-def test_a_camera_off_the_axis_sees_no_symmetry() -> None:
-    shell = BENCH.discs(*BENCH.shell(2))
-    _, found = around(7, 8.0, shell)
-    np.testing.assert_allclose(found.image, turn_by(1.0 / 7)[:2, :2].T, atol=1e-9)
-    mid = MARKERS.mid_mm
+def test_no_two_drawn_pairs_are_turned_copies() -> None:
+    symmetry = symmetry_in(7, coarse_discs())
+    assert symmetry is not None
+    ring = symmetry.ring
+    solver = InteractionSolver(coarse_discs(), SEE, ring.uv, 4.0, symmetry)
+    drawn = solver.drawn()
+    place, copies = np.arange(len(ring.uv)), []
+    for _ in range(7):
+        copies += [frozenset(pair) for pair in place[drawn].tolist()]
+        place = symmetry.place[place]
+    # With an even number, pairs half a turn apart would be their own copies.
+    assert len(set(copies)) == len(copies) == 7 * len(drawn)
+    use = InteractionSettings()
+    count = use.pairs_per_axis * use.axes_max
+    assert len(drawn) == round(use.copied_images * count / 7)
+    half = symmetry_in(2, coarse_discs())
+    assert half is not None
+    assert len(InteractionSolver(coarse_discs(), SEE, half.ring.uv, 4.0, half).drawn()) == count
+
+
+def test_more_turned_copies_make_better_axes(monkeypatch: pytest.MonkeyPatch) -> None:
+    symmetry = symmetry_in(14, coarse_discs())
+    assert symmetry is not None
+    each = InteractionSolver(coarse_discs(), SEE, symmetry.ring.uv, 4.0)
+    pairs = each.drawn()[::4]
+    images = each.images(pairs)
+    missed = []
+    for copied in (0.5, 4.0):
+        settings = InteractionSettings(axes_max=40, copied_images=copied)
+        monkeypatch.setattr(interaction_tables, "SETTINGS", settings)
+        axes = InteractionSolver(coarse_discs(), SEE, symmetry.ring.uv, 4.0, symmetry).axes()
+        missed.append(float(np.linalg.norm(images - images @ axes.T @ axes)))
+    assert missed[1] < 0.9 * missed[0]
+
+
+def off_axis() -> ImageResponse:
+    """What the small sensor's camera would see from 0.5 mm beside the axis."""
     (camera,) = SEE.readers.cameras
     aside = replace(camera, position_mm=np.add(camera.position_mm, [0.5, 0.0, 0.0]))
-    see = ImageResponse(replace(SEE.readers, cameras=(aside,)), mid, SEE.arm_mm)
-    ring = rings(SURFACE, 8.0, 7)
-    assert symmetry_of(shell.mesh, MARKERS, see, ring, 7, turn_by(1.0 / 7)) is None
-    assert symmetry_of(shell.mesh, MARKERS, SEE, ring, 1, np.eye(3)) is None
+    return ImageResponse(replace(SEE.readers, cameras=(aside,)), MARKERS.mid_mm, SEE.arm_mm)
 
 
-@pytest.mark.parametrize(("more", "sectors"), [(1.0, 2), (9.0, 14)])
+def test_images_turn_about_a_camera_on_the_axis_alone() -> None:
+    found = symmetry_in(7, coarse_discs())
+    assert found is not None
+    wanted = np.tile(turn_by(1.0 / 7)[:2, :2].T, (MARKERS.count, 1, 1))
+    np.testing.assert_allclose(found.pixel_turn, wanted, atol=1e-9)
+    assert symmetry_in(7, coarse_discs(), see=off_axis()) is None
+    assert symmetry_in(1, coarse_discs()) is None
+
+
+def test_images_of_cameras_at_both_ends_turn_either_way() -> None:
+    design = small(camera=FINE_CAMERA | {"ends": "both"})
+    bench = Bench(design)
+    cameras = cameras_of(design, bench.surface)
+    far = (bench.markers.uv[:, 0] > bench.surface.domain[0].mean()).astype(np.int64)
+    mid = bench.markers.mid_mm
+    see = ImageResponse(Readers(cameras=cameras, read_by=far), mid, bench.markers.tip_mm - mid)
+    found = symmetry_in(7, bench.discs(*bench.shell(2)), bench, see)
+    assert found is not None
+    np.testing.assert_allclose(found.pixel_turn[0], found.pixel_turn[-1].T, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("more", "case", "sectors"),
+    [
+        (1.0, "whole", 2),
+        (9.0, "whole", COLUMNS),
+        (9.0, "camera off the axis", 1),
+        (9.0, "part of the surface", 1),
+    ],
+)
 def test_pairs_have_hardly_more_places_for_symmetry(
-    more: float, sectors: int, monkeypatch: pytest.MonkeyPatch
+    more: float, case: str, sectors: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rings hold as many places in each sector, which may be many more than they need."""
     settings = InteractionSettings(more_places=more, axes_max=2, spacing_share=2.9)
     monkeypatch.setattr(response_tables, "SETTINGS", settings)
     monkeypatch.setattr(interaction_tables, "SETTINGS", settings)
-    found: list[Symmetry | None] = []
+    used: list[SectorSymmetry | None] = []
 
-    def noted(*args: Any) -> Symmetry | None:
-        found.append(symmetry_of(*args))
-        return found[-1]
+    class Noted(InteractionSolver):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args)
+            used.append(self.symmetry)
 
-    monkeypatch.setattr(response_tables, "symmetry_of", noted)
-    pairs = made(2, spacing_mm=8.0, orders=3).places.pairs
+    monkeypatch.setattr(response_tables, "InteractionSolver", Noted)
+    mesh, model = BENCH.shell(2)
+
+    def below(_: float, uv: FloatArray) -> BoolArray:
+        return np.asarray(uv[:, 0] < SURFACE.domain[0].mean())
+
+    done = tabulate_responses(
+        BENCH.sensor,
+        mesh=mesh,
+        model=model,
+        see=off_axis() if case.startswith("camera") else SEE,
+        spacing_mm=8.0,
+        orders=3,
+        near=below if case.startswith("part") else everywhere,
+    )
+    pairs, (symmetry,) = done.places.pairs, used
     assert pairs is not None
+    assert (symmetry.sectors if symmetry else 1) == sectors
     apart = pair_spacing_mm(SURFACE.area_mm2(), pairs.grid.radius_mm)
-    fewest, own, most = (len(rings(SURFACE, apart, each).uv) for each in (1, sectors, 14))
-    assert fewest < most
-    assert len(pairs.grid.point_mm) == own <= more * fewest
-    (symmetry,) = found
-    assert symmetry is not None
-    assert symmetry.sectors == sectors
+    plain, own, most = (rings(SURFACE, apart, each).uv for each in (1, sectors, COLUMNS))
+    assert len(plain) < len(most)
+    kept = below(apart, own) if case.startswith("part") else everywhere(apart, own)
+    assert len(pairs.grid.point_mm) == kept.sum()
 
 
 def test_shells_of_too_many_elements_have_no_tables_of_pairs(

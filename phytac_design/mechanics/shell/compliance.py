@@ -143,8 +143,8 @@ def column_turn(model: ShellModel, mesh: ShellMesh, columns: int) -> FloatArray 
     angle = 2.0 * np.pi / columns
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    image = landing(len(mesh.nodes_mm), around, around // columns)
-    landed = landing(len(mesh.quads), around, around // columns)
+    image = _shifted(len(mesh.nodes_mm), around, around // columns)
+    landed = _shifted(len(mesh.quads), around, around // columns)
     # Largest misfit of mesh or section turned onto itself, as a fraction of its size.
     tolerance = 1e-9
     gap = np.abs(mesh.nodes_mm @ turn.T - mesh.nodes_mm[image]).max()
@@ -181,8 +181,8 @@ def _repeats(value: float | FloatArray, landed: IntArray, tolerance: float) -> b
     return bool(np.abs(section[landed] - section).max() <= tolerance * section.max())
 
 
-def landing(count: int, around: int, step: int) -> IntArray:
-    """Node (element, marker) that each lands on when its line of ``around`` turns by ``step``."""
+def _shifted(count: int, around: int, step: int) -> IntArray:
+    """Node (or element) that each lands on when its line of ``around`` turns by ``step``."""
     line, place = np.divmod(np.arange(count), around)
     return np.asarray(line * around + np.mod(place + step, around))
 

@@ -27,7 +27,6 @@ from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE
 from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING, place_spacing_mm
 from phytac_design.simulation.scenario.scene_scope import PRESSES_LEAST, Scope
 from phytac_design.simulation.turned_places import rings
-from phytac_design.stages.places_stage import extrapolated_from
 from phytac_design.stages.response_stage import SCENE_SAMPLES, samples_of
 from phytac_design.study.planning.unit_costs import MEMORY_MB, CPU_s, PROBE_s
 from phytac_shapes import Surface
@@ -52,9 +51,9 @@ class Counts:
         Of the decoder's mesh and of the simulated sensor's mesh.
     response_loads, twin_loads : int
         Right-hand sides.
-    places, place_nodes, place_solves, large_solves : int
-        Places tabulated, nodes of the meshes that linear theory is solved on, places solved so, and
-        those solved for higher powers of the force.
+    places, place_solves, large_solves : int
+        Places tabulated, those solved by linear theory, and those solved for higher powers of the
+        force.
     contacts : int
         Drawn by the simulation.
     samples, samples_all : int
@@ -75,7 +74,6 @@ class Counts:
     response_loads: int
     twin_loads: int
     places: int
-    place_nodes: int
     place_solves: int
     large_solves: int
     contacts: int
@@ -124,11 +122,6 @@ class Workload:
         base = ring.base if scope is None else ring.base[scope.near(spacing, ring.uv)]
         return len(base), len(np.unique(base))
 
-    def _place_nodes(self, refine: int) -> int:
-        """Nodes of the meshes that linear tables are solved on."""
-        levels = extrapolated_from(refine, self.markers.count) or (refine,)
-        return round(self.nodes(refine) * sum((level / refine) ** 2 for level in levels))
-
     def counts(
         self,
         accuracy: Accuracy,
@@ -166,7 +159,6 @@ class Workload:
             response_loads=rows if self.repeats > 1 else in_play,
             twin_loads=min(contacts + round(accuracy.frames * mean), adjoints),
             places=places,
-            place_nodes=self._place_nodes(accuracy.refine),
             place_solves=solves,
             large_solves=self.place_rings(HIGHER_ORDER_SPACING * accuracy.place_share, scope)[1],
             contacts=contacts,
@@ -230,9 +222,8 @@ def features(
         },
         "places": {
             "one": 1.0,
-            "nodes": counts.place_nodes / 1e3,
-            "solves": counts.place_nodes / 1e3 * counts.place_solves / 100.0,
-            "pairs": higher_orders * nodes,
+            "nodes": nodes,
+            "solves": nodes * counts.place_solves / 100.0,
             "orders": higher_orders * nodes * counts.large_solves / 100.0,
             "large": solved * nodes * counts.large_solves / 100.0,
             "copies": counts.places * n / 100.0,
