@@ -159,27 +159,60 @@ def symmetry_of(
     """
     if sectors < 2 or mesh.around is None or markers.lattice is None:
         return None
-    columns = markers.lattice.columns
-    camera = see.readers.read_by
-    found = SectorSymmetry(
+    found = pixel_turns(see.shift, markers, see.readers.read_by, sectors, turn)
+    if found is None:
+        return None
+    return SectorSymmetry(
         sectors=sectors,
         turn=turn,
         around=mesh.around,
-        columns=columns,
-        pixel_turn=np.tile(np.eye(2), (markers.count, 1, 1)),
+        columns=markers.lattice.columns,
+        pixel_turn=found,
         ring=ring,
     )
+
+
+def pixel_turns(
+    shift: Callable[[FloatArray], FloatArray],
+    markers: Markers,
+    camera: IntArray,
+    sectors: int,
+    turn: FloatArray,
+) -> FloatArray | None:
+    """Rotation (n, 2, 2) that shifts of each marker make as all turn; None if they do otherwise.
+
+    Parameters
+    ----------
+    shift : callable
+        Motion (n, 6) of the markers -> shifts (n, 2) px.
+    markers : Markers
+        Markers that come to stand on each other by the turn.
+    camera : (n,) int
+        Camera of each.
+    sectors, turn : int, (3, 3) float
+        Sectors, and rotation by one.
+    """
+    columns = markers.lattice.columns if markers.lattice else 1
+    step = columns // sectors
     motion = MOTION_TRIED * np.random.default_rng(0).normal(size=(markers.count, 6))
-    seen = see.shift(turned_motion(motion, turn, columns, columns // sectors))
-    moved = found.turn_shifts(see.shift(motion).reshape(1, -1)).reshape(-1, 2)
+    still, turned = shift(motion), shift(turned_motion(motion, turn, columns, step))
+    # Of each marker where it then stands.
+    turned = np.roll(turned.reshape(-1, columns, 2), -step, axis=1).reshape(-1, 2)
+    found = np.empty((markers.count, 2, 2))
     for each in np.unique(camera):
         own = camera == each
         # The rotation that is nearest (Procrustes).
-        left, _, right = np.linalg.svd(moved[own].T @ seen[own])
-        found.pixel_turn[own] = left @ right
-    moved = found.turn_shifts(see.shift(motion).reshape(1, -1)).reshape(-1, 2)
-    misfit = np.linalg.norm(moved - seen) / np.linalg.norm(seen)
-    return found if misfit <= IMAGE_TOLERANCE else None
+        left, _, right = np.linalg.svd(still[own].T @ turned[own])
+        found[own] = left @ right
+    misfit = np.linalg.norm(np.einsum("ni,nij->nj", still, found) - turned)
+    return found if misfit <= IMAGE_TOLERANCE * np.linalg.norm(turned) else None
+
+
+def repeated_markers(markers: Markers, sectors: int) -> IntArray:
+    """Marker (n,) of the first sector that each is a turned copy of."""
+    columns = markers.lattice.columns if markers.lattice else 1
+    row, column = np.divmod(np.arange(markers.count), columns)
+    return np.asarray(row * columns + column % (columns // sectors))
 
 
 def turned_motion(motion: FloatArray, turn: FloatArray, around: int, step: int) -> FloatArray:

@@ -16,6 +16,10 @@ from phytac_decoder.camera.camera_motion import (
     tabulate_camera_motion,
 )
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.layout import Markers
+from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.compliance import turns_of
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.cramer_rao import (
     ContactSignals,
     CramerRaoBound,
@@ -24,8 +28,9 @@ from phytac_design.simulation.cramer_rao import (
 )
 from phytac_design.simulation.linear_response import motion_responses
 from phytac_design.simulation.scenario.scene_scope import scope_of
+from phytac_design.simulation.turned_places import markers_turn, pixel_turns, repeated_markers
 from phytac_design.stages.response_stage import decoder_shell
-from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 RIM_SHARE = 0.125
 """Share of the height next to each rim that is reported apart (15-105 mm of 120)."""
@@ -90,10 +95,18 @@ def run_resolution(context: Context, folder: Path) -> None:
 
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     scope = scope_of(context)
-    chosen = np.arange(markers.count)
     if scope is not None:
-        chosen = np.flatnonzero(scope.in_play(markers))
-    signals = contact_signals(surface, shifts, uv=markers.uv[chosen], radius_mm=radius)
+        alike = chosen = np.flatnonzero(scope.in_play(markers))
+    else:
+        alike, chosen = _alike(model, mesh, markers, slopes), np.arange(markers.count)
+    solved, copy = np.unique(alike, return_inverse=True)
+    signals = contact_signals(surface, shifts, uv=markers.uv[solved], radius_mm=radius)
+
+    def bounds(of: ContactSignals, force_N: float, motion: CameraMotion | None) -> CramerRaoBound:
+        """Bounds at all chosen receptors by those that are solved."""
+        found = asdict(of.bound(force_N, noise_px=noise, prior=prior, motion=motion))
+        return CramerRaoBound(**{name: value[copy] for name, value in found.items()})
+
     prior = cell_prior(
         surface.area_mm2(),
         markers.count,
@@ -112,21 +125,17 @@ def run_resolution(context: Context, folder: Path) -> None:
     as_read = ContactSignals(shift=signals.shift[:, read], slopes=signals.slopes[:, read])
     table_read: dict[str, Any] = {}
     for force in sorted({1.0, 5.0, 10.0, 25.0, training.force_max_N}):
-        bound = signals.bound(force, noise_px=noise, prior=prior)
+        bound = bounds(signals, force, None)
         for key, value in asdict(bound).items():
             # A scene knows nothing of receptors that are not in play.
             arrays[f"{key}_{force:g}"] = np.full(markers.count, np.nan)
             arrays[f"{key}_{force:g}"][chosen] = value
         table[f"{force:g} N"] = _medians(bound, middle)
-        table_read[f"{force:g} N"] = _medians(
-            as_read.bound(force, noise_px=noise, prior=prior), middle
-        )
+        table_read[f"{force:g} N"] = _medians(bounds(as_read, force, None), middle)
     write_arrays(folder, arrays)
     # What it costs that the cameras may have moved since the rest frame.
     costs = {
-        name: _medians(
-            signals.bound(training.force_max_N, noise_px=noise, prior=prior, motion=motion), middle
-        )
+        name: _medians(bounds(signals, training.force_max_N, motion), middle)
         for name, motion in camera_motions(context, views).items()
     }
     marked = context.sensor.reference_marks.count > 0
@@ -148,6 +157,29 @@ def run_resolution(context: Context, folder: Path) -> None:
         "prior_radius_mm": prior.radius_mm,
     }
     write_facts(folder, facts)
+
+
+def _alike(model: ShellModel, mesh: ShellMesh, markers: Markers, slopes: FloatArray) -> IntArray:
+    """Receptor (n,) whose bound each has, too: its copy in the first sector, or itself.
+
+    Parameters
+    ----------
+    slopes : (cameras, n, 2, 6) float
+        What each camera sees of the markers' motion.
+    """
+    columns = markers.lattice.columns if markers.lattice else 1
+    sectors, turn = turns_of(model, mesh, columns)
+    one = np.zeros(markers.count, dtype=np.int64)
+    if turn is None or not markers_turn(markers, turn, columns // sectors):
+        return np.arange(markers.count)
+    for slope in slopes:
+
+        def shift(motion: FloatArray, slope: FloatArray = slope) -> FloatArray:
+            return np.asarray(np.einsum("nij,nj->ni", slope, motion))
+
+        if pixel_turns(shift, markers, one, sectors, turn) is None:
+            return np.arange(markers.count)
+    return repeated_markers(markers, sectors)
 
 
 RESOLUTION = Stage(

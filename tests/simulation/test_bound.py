@@ -1,22 +1,27 @@
 """Cramér-Rao bounds against closed forms and against an estimator that attains them."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera_motion import CameraMotion
 from phytac_design.design.accuracy import PRESETS
-from phytac_design.engine.stage import Context
+from phytac_design.engine.stage import Context, write_arrays
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.simulation.cramer_rao import (
     CramerRaoBound,
     PositionPrior,
     cell_prior,
     contact_signals,
 )
+from phytac_design.simulation.linear_response import rigid_slope
+from phytac_design.stages import resolution_stage
 from phytac_design.stages.resolution_stage import camera_motions
 from phytac_shapes import Cylinder, Hemisphere, Plane, Surface
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray, IntArray
 from tests.designs import small
 from tests.refusals import refused
 
@@ -196,3 +201,44 @@ def test_marks_tell_more_of_the_camera_than_any_mount() -> None:
     assert (spread["bench"] < spread["handheld"]).all()
     plain = Context(design=small(), accuracy=PRESETS["draft"], seed=0)
     assert "marks" not in camera_motions(plain, {"seen_by": seen_by})
+
+
+@pytest.mark.parametrize(("beside_mm", "sectors"), [(0.0, 14), (0.5, 1)])
+def test_receptors_of_one_sector_stand_for_all(
+    beside_mm: float, sectors: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the camera stands on the axis; each is solved for itself otherwise."""
+    design = small()
+    context = Context(design=design, accuracy=PRESETS["draft"], seed=0, progress=lambda _: None)
+    markers, (camera,) = context.markers, cameras_of(design, context.surface)
+    seen_from = replace(camera, position_mm=np.add(camera.position_mm, [beside_mm, 0.0, 0.0]))
+    tip, mid = markers.tip_mm, markers.mid_mm
+    slope = rigid_slope(seen_from.jacobian(tip), tip - mid)
+    every = {"paint_slopes": slope[None], "seen_by": np.ones((1, markers.count), dtype=np.bool_)}
+    views = tmp_path / "views"
+    views.mkdir()
+    write_arrays(views, every | {"camera": np.zeros(markers.count, dtype=np.int64)})
+    context.folders["views"] = views
+    solved, plain = [], resolution_stage._alike
+
+    def noted(*args: Any) -> IntArray:
+        found = plain(*args)
+        solved.append(len(np.unique(found)))
+        return found
+
+    made = []
+    for alike in (noted, lambda *_: np.arange(markers.count)):
+        monkeypatch.setattr(resolution_stage, "_alike", alike)
+        folder = tmp_path / f"bound_{len(made)}"
+        folder.mkdir()
+        resolution_stage.run_resolution(context, folder)
+        context.folders["resolution"] = folder
+        made.append((context.arrays("resolution"), context.facts("resolution")))
+    assert solved == [markers.count // sectors]
+    (some, facts), (each, wanted) = made
+    assert len(some) >= 16
+    for name, value in each.items():
+        np.testing.assert_allclose(some[name], value, rtol=1e-6)
+    assert facts["camera_motion"]["bound"]["bench"] == pytest.approx(
+        wanted["camera_motion"]["bound"]["bench"], rel=1e-6
+    )
