@@ -59,7 +59,8 @@ class InteractionSettings:
     """With symmetry: images that axes are found from, turned copies included, over those without.
     Copies resemble one another, so that it takes more. Errors fall by a third from 1 to 4."""
     more_places: float = 1.3
-    """With symmetry: places at most, over those without. Rings hold as many in each sector."""
+    """With symmetry: places at most, over those without. Every sector has the same number of places
+    in a ring, which may be more than the spacing needs."""
 
 
 SETTINGS = InteractionSettings()
@@ -194,7 +195,7 @@ class InteractionSolver:
         _, size, axes = np.linalg.svd(images, full_matrices=False)
         count = min(SETTINGS.axes_max, int((size > 0.0).sum()))
         # Axes of one size turn into each other: they are kept together, or none of them.
-        while self.symmetry and 1 < count < len(size) and _alike(size, count):
+        while self.symmetry and 1 < count < len(size) and _same_size(size, count):
             count -= 1
         return np.asarray(axes[:count])
 
@@ -287,7 +288,7 @@ class InteractionSolver:
         return out
 
 
-def _alike(size: FloatArray, count: int) -> bool:
+def _same_size(size: FloatArray, count: int) -> bool:
     """Whether the last of so many sizes, in order, is as large as the next, but for rounding."""
     return bool(size[count - 1] - size[count] <= 1e-9 * size[0])
 

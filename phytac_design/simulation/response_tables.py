@@ -23,7 +23,7 @@ from phytac_decoder.mechanics.response_table import (
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.compliance import column_turn, turns_of
+from phytac_design.mechanics.shell.compliance import column_turn
 from phytac_design.mechanics.shell.discretisation import force_ratio
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.solve import ShellModel
@@ -42,8 +42,8 @@ from phytac_design.simulation.pressed_series import (
 )
 from phytac_design.simulation.turned_places import (
     SectorSymmetry,
-    markers_turn,
     rings,
+    sectors_of,
     symmetry_of,
     turned_motion,
 )
@@ -263,12 +263,8 @@ def tabulate_responses(
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training = design.training
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
-    columns = markers.lattice.columns if markers.lattice else 1
-    sectors, turn = turns_of(model, mesh, columns)
-    even = turn is not None and markers_turn(markers, turn, columns // sectors)
-    if pair is not None:
-        even &= all(column_turn(each, on, sectors) is not None for on, each in pair)
-    if not even:
+    sectors, turn = sectors_of(model, mesh, markers)
+    if pair and any(column_turn(each, on, sectors) is None for on, each in pair):
         sectors, turn = 1, None
     least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / bytes_max)
     spacing = max(spacing_mm, float(least))
@@ -416,14 +412,17 @@ def _pairs(grid: _Grid, shell: DiscResponse, see: ImageResponse) -> InteractionT
 def _pair_symmetry(
     grid: _Grid, shell: DiscResponse, see: ImageResponse, apart_mm: float, places_max: int
 ) -> SectorSymmetry | None:
-    """Symmetry in as many sectors as have so many places at most; None without symmetry."""
+    """Symmetry with the most sectors whose rings have ``places_max`` places at most, if any."""
+    if grid.turn is None:
+        return None
     for sectors in range(grid.sectors, 1, -1):
-        if grid.turn is None or grid.sectors % sectors:
-            continue
         ring = rings(shell.surface, apart_mm, sectors)
-        if len(ring.uv) <= places_max:
-            turn = np.linalg.matrix_power(grid.turn, grid.sectors // sectors)
-            return symmetry_of(shell.mesh, grid.markers, see, ring, sectors, turn)
+        if grid.sectors % sectors or len(ring.uv) > places_max:
+            continue
+        turn = np.linalg.matrix_power(grid.turn, grid.sectors // sectors)
+        found = symmetry_of(shell.mesh, grid.markers, see, ring, sectors, turn)
+        if found is not None:
+            return found
     return None
 
 

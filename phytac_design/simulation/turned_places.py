@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.compliance import turns_of
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.pressed_series import ImageResponse
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -208,8 +210,19 @@ def pixel_turns(
     return found if misfit <= IMAGE_TOLERANCE * np.linalg.norm(turned) else None
 
 
+def sectors_of(
+    model: ShellModel, mesh: ShellMesh, markers: Markers
+) -> tuple[int, FloatArray | None]:
+    """Sectors that shell and markers repeat themselves in, and the turn (3, 3); 1 and None."""
+    columns = markers.lattice.columns if markers.lattice else 1
+    sectors, turn = turns_of(model, mesh, columns)
+    if turn is None or not markers_turn(markers, turn, columns // sectors):
+        return 1, None
+    return sectors, turn
+
+
 def repeated_markers(markers: Markers, sectors: int) -> IntArray:
-    """Marker (n,) of the first sector that each is a turned copy of."""
+    """For each marker (n,), the one of the first sector that it is a turned copy of."""
     columns = markers.lattice.columns if markers.lattice else 1
     row, column = np.divmod(np.arange(markers.count), columns)
     return np.asarray(row * columns + column % (columns // sectors))

@@ -16,9 +16,7 @@ from phytac_decoder.camera.camera_motion import (
     tabulate_camera_motion,
 )
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.layout import Markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.compliance import turns_of
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.cramer_rao import (
     ContactSignals,
@@ -28,7 +26,7 @@ from phytac_design.simulation.cramer_rao import (
 )
 from phytac_design.simulation.linear_response import motion_responses
 from phytac_design.simulation.scenario.scene_scope import scope_of
-from phytac_design.simulation.turned_places import markers_turn, pixel_turns, repeated_markers
+from phytac_design.simulation.turned_places import pixel_turns, repeated_markers, sectors_of
 from phytac_design.stages.response_stage import decoder_shell
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -95,10 +93,8 @@ def run_resolution(context: Context, folder: Path) -> None:
 
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     scope = scope_of(context)
-    if scope is not None:
-        alike = chosen = np.flatnonzero(scope.in_play(markers))
-    else:
-        alike, chosen = _alike(model, mesh, markers, slopes), np.arange(markers.count)
+    chosen = scope.in_play(markers).nonzero()[0] if scope else np.arange(markers.count)
+    alike = chosen if scope else _alike(context, model, mesh, slopes, views["camera"])
     solved, copy = np.unique(alike, return_inverse=True)
     signals = contact_signals(surface, shifts, uv=markers.uv[solved], radius_mm=radius)
 
@@ -159,27 +155,37 @@ def run_resolution(context: Context, folder: Path) -> None:
     write_facts(folder, facts)
 
 
-def _alike(model: ShellModel, mesh: ShellMesh, markers: Markers, slopes: FloatArray) -> IntArray:
-    """Receptor (n,) whose bound each has, too: its copy in the first sector, or itself.
+def _alike(
+    context: Context, model: ShellModel, mesh: ShellMesh, slopes: FloatArray, camera: IntArray
+) -> IntArray:
+    """For each receptor (n,), the one with the same bound that is solved.
+
+    Its counterpart in the first sector where shell, markers and all that cameras see of them turn
+    onto themselves; else the receptor itself. Reference marks never do.
 
     Parameters
     ----------
     slopes : (cameras, n, 2, 6) float
         What each camera sees of the markers' motion.
+    camera : (n,) int
+        The camera that reads each.
     """
-    columns = markers.lattice.columns if markers.lattice else 1
-    sectors, turn = turns_of(model, mesh, columns)
-    one = np.zeros(markers.count, dtype=np.int64)
-    if turn is None or not markers_turn(markers, turn, columns // sectors):
-        return np.arange(markers.count)
+    markers = context.markers
+    own = np.arange(markers.count)
+    sectors, turn = sectors_of(model, mesh, markers)
+    if turn is None or context.sensor.reference_marks.count:
+        return own
+    found = repeated_markers(markers, sectors)
+    if not np.array_equal(camera[found], camera):
+        return own
     for slope in slopes:
 
         def shift(motion: FloatArray, slope: FloatArray = slope) -> FloatArray:
             return np.asarray(np.einsum("nij,nj->ni", slope, motion))
 
-        if pixel_turns(shift, markers, one, sectors, turn) is None:
-            return np.arange(markers.count)
-    return repeated_markers(markers, sectors)
+        if pixel_turns(shift, markers, np.zeros_like(own), sectors, turn) is None:
+            return own
+    return found
 
 
 RESOLUTION = Stage(

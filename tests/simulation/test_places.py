@@ -46,7 +46,7 @@ from phytac_design.simulation.response_tables import (
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
-from phytac_design.simulation.turned_places import SectorSymmetry, rings, symmetry_of
+from phytac_design.simulation.turned_places import SectorSymmetry, rings, sectors_of, symmetry_of
 from phytac_design.stages.places_stage import (
     EXTRAPOLATED_MARKERS_MAX,
     extrapolated_from,
@@ -433,6 +433,22 @@ def off_axis() -> ImageResponse:
     (camera,) = SEE.readers.cameras
     aside = replace(camera, position_mm=np.add(camera.position_mm, [0.5, 0.0, 0.0]))
     return ImageResponse(replace(SEE.readers, cameras=(aside,)), MARKERS.mid_mm, SEE.arm_mm)
+
+
+def test_markers_and_both_meshes_have_to_repeat_themselves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mesh, model = BENCH.shell(2)
+    assert sectors_of(model, mesh, MARKERS)[0] == COLUMNS
+    moved = MARKERS.mid_mm.copy()
+    moved[3] += 0.01
+    assert sectors_of(model, mesh, replace(MARKERS, mid_mm=moved)) == (1, None)
+    pair = (BENCH.shell(3), (mesh, model))
+    whole = made(2, spacing_mm=8.0, orders=1, pair=pair)
+    assert whole.solves < len(whole.places.point_mm) / 2
+    monkeypatch.setattr(response_tables, "column_turn", lambda *_: None)
+    alone = made(2, spacing_mm=8.0, orders=1, pair=pair)
+    assert alone.solves == len(alone.places.point_mm)
 
 
 def test_images_turn_about_a_camera_on_the_axis_alone() -> None:
