@@ -258,6 +258,9 @@ def test_receptors_of_one_sector_stand_for_all(
     assert len(some) >= 16
     for name, value in each.items():
         np.testing.assert_allclose(some[name], value, rtol=1e-6)
+    away = np.linalg.norm(tip - cameras[0].position_mm, axis=1)
+    if case == "one camera":  # which sees more of what is near
+        assert some["force_N_10"][away.argmin()] < 0.8 * some["force_N_10"][away.argmax()]
     for part in ("bound", "bound_as_read", "camera_motion"):
         assert _numbers(facts.get(part)) == pytest.approx(_numbers(wanted.get(part)), rel=1e-6)
 
