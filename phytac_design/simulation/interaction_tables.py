@@ -152,6 +152,7 @@ class InteractionSolver:
         self._kept = list(self._make_parts()) if few else None
 
     def _linear(self) -> FloatArray:
+        """Linear motions (6N, p) under a newton at each place."""
         solved = [
             self.shell.linear(self.uv[self.base[k : k + SETTINGS.batch]], self.radius_mm)[1]
             for k in range(0, len(self.base), SETTINGS.batch)
@@ -194,7 +195,7 @@ class InteractionSolver:
             images = np.concatenate([each for _, each in copies])
         _, size, axes = np.linalg.svd(images, full_matrices=False)
         count = min(SETTINGS.axes_max, int((size > 0.0).sum()))
-        # Axes of one size turn into each other: they are kept together, or none of them.
+        # Axes of equal size turn into each other: all of them are kept, or none.
         while self.symmetry and 1 < count < len(size) and _same_size(size, count):
             count -= 1
         return np.asarray(axes[:count])
@@ -212,7 +213,7 @@ class InteractionSolver:
             ring, sectors = self.symmetry.ring, self.symmetry.sectors
             two, turns = ring.base[other], ring.turns[other]
             count = min(count, round(SETTINGS.copied_images * count / sectors))
-        # From the other place, the pair is turned back.
+        # Counted from its other place, a pair is turned the other way: it is kept from one of them.
         once = (one < two) | ((one == two) & (turns <= -turns % sectors))
         first, other = first[once], other[once]
         near = gap[first, other] < SETTINGS.near_radii * self.radius_mm

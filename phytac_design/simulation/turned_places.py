@@ -49,7 +49,7 @@ class PlaceRings:
 
 
 def rings(surface: Surface, spacing_mm: float, sectors: int) -> PlaceRings:
-    """Places at most about ``spacing_mm`` apart; ``sectors`` > 1 repeats them around so often."""
+    """Places at most about ``spacing_mm`` apart, the same ones in each of so many sectors."""
     (u0, u1), (v0, v1) = surface.domain
     u, v = np.linspace(u0, u1, 513), np.linspace(v0, v1, 65)
     grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -213,7 +213,10 @@ def pixel_turns(
 def sectors_of(
     model: ShellModel, mesh: ShellMesh, markers: Markers
 ) -> tuple[int, FloatArray | None]:
-    """Sectors that shell and markers repeat themselves in, and the turn (3, 3); 1 and None."""
+    """Sectors that shell and markers repeat themselves in, and the turn (3, 3) by one.
+
+    1 and None where they do not.
+    """
     columns = markers.lattice.columns if markers.lattice else 1
     sectors, turn = turns_of(model, mesh, columns)
     if turn is None or not markers_turn(markers, turn, columns // sectors):
@@ -240,7 +243,7 @@ def turned_motion(motion: FloatArray, turn: FloatArray, around: int, step: int) 
     around : int
         How many stand in a line.
     step : int
-        How many of a line they move on by.
+        Places in its line by which each moves on.
     """
     field = motion.reshape(-1, around, 2, 3, *motion.shape[2:])
     turned = np.einsum("xy,lnay...->lnax...", turn, field)
