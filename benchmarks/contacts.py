@@ -79,7 +79,14 @@ class Discs:
         self.terms = InteractionSolver(shell, self.see, self.uv, self.radius_mm)
         instance = draw_sensor_instance(context.sensor, SensorInstanceSection(), 0)
         self.solvers = [
-            Solver(design, context.surface, instance, refine=each, displacement="large")
+            Solver(
+                design,
+                context.surface,
+                instance,
+                refine=each,
+                displacement="large",
+                extrapolate=False,
+            )
             for each in (refine, 2 * refine)
         ]
 

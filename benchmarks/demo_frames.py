@@ -22,9 +22,8 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.simulation.contacts import Contacts, draw_contacts, switch_states
-from phytac_design.stages.renders_stage import FrameContacts, draw_frame_contacts, large_motion
-from phytac_design.stages.response_stage import truth_model
-from phytac_shapes.arrays import FloatArray
+from phytac_design.stages.renders_stage import FrameContacts, draw_frame_contacts
+from phytac_design.stages.response_stage import truth_solver
 
 DESIGN, FRAMES = "cylinder60", 300
 SEED = 101
@@ -47,7 +46,7 @@ class DemoBench(Bench):
             motion=np.zeros((contacts.samples, markers, 6)),
         )
         self.scenes = PressedScene(self.context.sensor, self.context.sensor.cameras[0])
-        self._truth = truth_model(self.context)
+        self._truth = truth_solver(self.context)
 
     def _like(self, frames: int) -> Contacts:
         """Draw samples of as many contacts as the demo has."""
@@ -58,9 +57,8 @@ class DemoBench(Bench):
 
     def solve(self, index: int) -> bool:
         """Solve the motion of one frame; return whether it converged."""
-        found: FloatArray | None = large_motion(
-            self.context, *self._truth, self.pressed.contacts.of(index)
-        )
+        pressed = self.pressed.contacts.of(index)
+        found = self._truth.solve(pressed, pressed.force_N).motion
         if found is not None:
             self.pressed.motion[index] = found
         return found is not None

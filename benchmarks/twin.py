@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.sparse import csc_matrix
 
 from benchmarks import twin_camera, twin_engine, twin_theory
 from benchmarks.harness import Table, run_parts
@@ -19,14 +18,10 @@ from benchmarks.referee.read import Solved, data_file, read_solved
 from benchmarks.referee.solve import sensor
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.layout.sensor import Sensor
-from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
-from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
-from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.linear_response import turned_points
-from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
+from phytac_design.simulation.sensor_instance import designed_shell
+from phytac_design.simulation.solver import Solver
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
@@ -66,38 +61,28 @@ class TipComparison:
     large_mm: FloatArray
 
 
-def shell_loads(this: Sensor, mesh: ShellMesh, solved: list[Solved]) -> csc_matrix:
-    """Load of each contact on a shell, (6N, m); nothing presses on holes, as on the solid."""
-    patches = [len(item.contact.uv) for item in solved]
-    contacts = Contacts.flat(
-        sample=np.repeat(np.arange(len(solved)), patches),
-        uv=np.concatenate([item.contact.centres for item in solved]),
-        radius_mm=np.concatenate([item.contact.radius_mm for item in solved]),
-        force_N=np.concatenate([item.contact.force_N for item in solved]),
-        samples=len(solved),
+def touches_of(item: Solved) -> Contacts:
+    """Contacts of one sample, as the referee pressed them."""
+    count = len(item.contact.uv)
+    return Contacts.flat(
+        sample=np.zeros(count, dtype=np.int64),
+        uv=item.contact.centres,
+        radius_mm=np.array(item.contact.radius_mm),
+        force_N=np.array(item.contact.force_N),
+        samples=1,
     )
-    holes = Holes.of(this.surface, this.markers.uv, this.design.receptor.diameter_hole_mm / 2.0)
-    unit = indentation_loads(mesh, this.surface, contacts, holes=holes)
-    rows = np.arange(len(contacts.sample))
-    share = csc_matrix((contacts.force_N, (rows, contacts.sample)))
-    return csc_matrix(unit @ share)
 
 
-def judge(
-    this: Sensor, mesh: ShellMesh, model: ShellModel, solved: list[Solved]
-) -> list[TipComparison]:
-    """Solve the referee's contacts on a shell with large displacements."""
-    markers = this.markers
-    arm = markers.tip_mm - markers.mid_mm
-    feet = ReceptorKinematics(
-        mesh, this.surface, markers.uv, this.design.receptor.diameter_outer_mm / 2.0
-    )
-    shell, out = QuasiNewtonSolver(model), []
-    for item, load in zip(solved, shell_loads(this, mesh, solved).T.toarray(), strict=True):
-        sample = shell.solve(load)
-        if sample.motion is None:
-            raise RuntimeError(f"contact {item.index} has no shell solution: {sample.reason}")
-        out.append(TipComparison(item=item, large_mm=turned_points(feet.large(sample.motion), arm)))
+def judge(this: Sensor, solver: Solver, solved: list[Solved]) -> list[TipComparison]:
+    """Solve the referee's contacts by the simulated sensor; nothing presses on holes."""
+    arm = this.markers.tip_mm - this.markers.mid_mm
+    out = []
+    for item in solved:
+        contacts = touches_of(item)
+        found = solver.solve(contacts, contacts.force_N)
+        if found.motion is None:
+            raise RuntimeError(f"contact {item.index} has no shell solution: {found.reason}")
+        out.append(TipComparison(item=item, large_mm=turned_points(found.motion, arm)))
     return out
 
 
@@ -134,10 +119,11 @@ def shell_rows(table: Table, name: str, *, quick: bool) -> None:
     this = sensor(name)
     solved = read_solved(data_file(name), this.design, this.markers)[: QUICK if quick else None]
     refine = PRESETS["draft" if quick else "standard"].truth_refine
-    mesh, model = truth_shell(this.design, this.surface, refine)
-    judged = judge(this, mesh, model, solved)
+    unit = designed_shell(this.surface, this.markers)
+    solver = Solver(this.design, this.surface, unit, refine=refine, displacement="large")
+    judged = judge(this, solver, solved)
     rim = at_rim(this)
-    what = f"{name}: twin's shell (refine {refine}, receptors, large displacements)"
+    what = f"{name}: twin's shell (refine {refine}, extrapolated, large displacements)"
     for group, chosen in GROUPS:
         part = [one for one in judged if chosen(one.item)]
         if not part:
@@ -181,6 +167,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         name: partial(rows, quick=quick)
         for name, rows in (
             ("theory", twin_theory.add_rows),
+            ("mesh", twin_theory.mesh_rows),
             ("imaging", twin_camera.add_rows),
             ("time", twin_engine.time_rows),
             ("workers", twin_engine.worker_rows),

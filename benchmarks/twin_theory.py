@@ -6,6 +6,8 @@ Rows of ``twin``. Everything is solved on one core; seconds are of the processor
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from phytac_design.simulation.contacts import Contacts, draw_contacts
 from phytac_design.simulation.linear_response import point_motions, turned_points
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.sensor_instance import designed_shell
 from phytac_design.simulation.solver import Solver
 from phytac_shapes.arrays import FloatArray
 
@@ -98,7 +101,9 @@ def add_rows(table: Table, *, quick: bool) -> None:
     touches = draw_contacts(this, samples=samples, rng=rng, most=5)
 
     def solver_of(refine: int) -> Solver:
-        return Solver(this.design, this.surface, unit, refine=refine, displacement="large")
+        return Solver(
+            this.design, this.surface, unit, refine=refine, displacement="large", extrapolate=False
+        )
 
     truth = solve_all(this, solver_of(finest), touches).tips_mm
     source = f"large, refine {finest}"
@@ -140,3 +145,33 @@ def add_rows(table: Table, *, quick: bool) -> None:
             table.add(
                 row, value, "% of peak", 0.0, "large, accelerated", f"<= {100.0 * tolerance:g}"
             )
+
+
+def mesh_rows(table: Table, *, quick: bool) -> None:
+    """Error of the simulated sensor because of its meshes, plain and extrapolated, by shape.
+
+    The reference is of two much finer meshes, of even single contacts under large displacements.
+    """
+    names = ("cylinder40",) if quick else ("cylinder60", "hemisphere", "cuboid", "grip")
+    refines, finest, samples = ((5,), 8, 2) if quick else ((5, 9), 14, 8)
+    for name in names:
+        this = Sensor(load_design(name))
+        unit = designed_shell(this.surface, this.markers)
+        solver = partial(Solver, this.design, this.surface, unit, displacement="large")
+        touches = draw_contacts(this, samples=samples, rng=np.random.default_rng(3), most=1)
+        both = [solver(refine=refine, extrapolate=False) for refine in (finest, finest // 2)]
+        tips = [np.stack(solve_all(this, one, touches).tips_mm) for one in both]
+        ratio = len(both[0].mesh.quads) / len(both[1].mesh.quads)
+        truth = list(tips[0] + (tips[0] - tips[1]) / (ratio - 1.0))
+        source = f"large, extrapolated from refine {finest} and {finest // 2}"
+        for refine, extrapolate in product(refines, (False, True)):
+            found = solve_all(this, solver(refine=refine, extrapolate=extrapolate), touches)
+            word = "extrapolated" if extrapolate else "plain"
+            head = f"{name}, {samples} contacts, refine {refine}, {word}"
+            error_rows(table, head, found, truth, source)
+            each = zip(found.tips_mm, truth, strict=True)
+            off = [float(np.vdot(b, a) / np.vdot(b, b)) - 1.0 for a, b in each]
+            row = f"{head}: force that the motion stands for, RMS error"
+            value = 100.0 * float(np.sqrt(np.mean(np.square(off))))
+            target = "<= 0.3" if extrapolate and refine == refines[-1] else None
+            table.add(row, value, "%", 0.0, source, target)

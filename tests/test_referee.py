@@ -27,7 +27,8 @@ from benchmarks.referee.read import (
     write_solved,
 )
 from benchmarks.referee.solve import Sensor, input_key, sensor, sizes_for
-from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.sensor_instance import designed_shell
+from phytac_design.simulation.solver import Solver
 from tests.refusals import refused
 
 SIDE_N = 0.02
@@ -193,10 +194,10 @@ def test_gap_and_scale_are_of_the_peak(grip: Sensor) -> None:
 
 def test_shell_presses_as_hard_as_the_solid(grip: Sensor) -> None:
     solved = [replace(made_up(grip), contact=c) for c in load_contacts("grip")[:3]]
-    mesh, _ = truth_shell(grip.design, grip.surface, 3)
-    loads = twin.shell_loads(grip, mesh, solved).toarray().reshape(-1, 6, 3)
-    for k, item in enumerate(solved):
+    solver = Solver(grip.design, grip.surface, designed_shell(grip.surface, grip.markers), refine=3)
+    for item in solved:
+        touches = twin.touches_of(item)
         inward = -grip.surface.normal(item.contact.centres)
         wanted = np.array(item.contact.force_N) @ inward
-        found = loads[:, :3, k].sum(axis=0)
+        found = solver.load(touches, touches.force_N).reshape(-1, 6)[:, :3].sum(axis=0)
         assert np.abs(found - wanted).max() < SIDE_N * sum(item.contact.force_N)

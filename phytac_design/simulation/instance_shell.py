@@ -9,39 +9,55 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell, chart_mesh, 
 from phytac_design.mechanics.meshing.quad_grid import product_grid
 from phytac_design.mechanics.shell.receptor_stiffness import (
     receptor_stiffness,
-    sensor_model,
     unknown_receptors,
 )
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.simulation.sample_plan import ChartBox
-from phytac_design.simulation.sensor_instance import SensorInstance, thickness_factor
+from phytac_design.simulation.sensor_instance import PrintedShell, designed_shell, thickness_factor
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
 MARGIN = 1.0
 """How far beyond the touched part the mesh stays fine, in √(R t), the length in which bending
 decays; twice that gains nothing."""
+COARSER_REFINE_MIN = 3
+"""Fewest elements a pitch of the coarser of two meshes that motion is extrapolated from."""
+
+
+def truth_levels(refine: int) -> tuple[int, int] | None:
+    """Elements a pitch of two meshes that linear motion is extrapolated from, the finer first.
+
+    None where the coarser one, of about twice the element size, is too coarse.
+    """
+    coarser = (refine + 1) // 2
+    return (refine, coarser) if coarser >= COARSER_REFINE_MIN else None
 
 
 def truth_shell(
-    design: Design, surface: Surface, refine: int, markers: Markers | None = None
+    design: Design,
+    surface: Surface,
+    refine: int,
+    markers: Markers | None = None,
+    region: ChartBox | None = None,
 ) -> tuple[ShellMesh, ShellModel]:
-    """Mesh and linear model of the simulated sensor, blind to the markers.
+    """Mesh and linear model of the simulated sensor as designed.
 
-    The wall has its receptors' stiffness, as the real one does, wherever that is known. On shapes
-    that close around, ``refine`` elements per column around, and along the count that makes them
-    about square; on others ``refine`` elements for each side of a marker's cell. ``markers`` are
-    the design's, if they are known.
+    Parameters as of :func:`instance_shell`; ``markers`` are the design's, if they are known.
     """
     markers = markers or make_markers(design, surface)
-    mesh = truth_mesh(design, surface, refine, markers)
-    return mesh, sensor_model(design, markers, mesh, receptors=not unknown_receptors(design))
+    unit = designed_shell(surface, markers)
+    return instance_shell(design, surface, unit, refine, region, markers=markers)
 
 
 def truth_mesh(
     design: Design, surface: Surface, refine: int, markers: Markers | None = None
 ) -> ShellMesh:
-    """Mesh of :func:`truth_shell`."""
+    """Mesh of the simulated sensor, blind to the markers.
+
+    On shapes that close around, ``refine`` elements per column around, and along the count that
+    makes them about square; on others ``refine`` elements for each side of a marker's cell.
+    ``markers`` are the design's, if they are known.
+    """
     markers = markers or make_markers(design, surface)
     wall = design.wall.thickness_mm
     if markers.lattice and surface.periodic[1] and not any(surface.poles):
@@ -58,37 +74,40 @@ def truth_mesh(
 def instance_shell(
     design: Design,
     surface: Surface,
-    unit: SensorInstance,
+    unit: PrintedShell,
     refine: int,
     region: ChartBox | None = None,
     *,
     local: bool = True,
+    markers: Markers | None = None,
 ) -> tuple[ShellMesh, ShellModel]:
     """Mesh and linear model of a sensor instance: its own wall, material and receptor positions.
 
-    Instance 0 on a mesh that is fine all over is :func:`truth_shell`.
+    The wall has its receptors' stiffness, as the real one does, wherever that is known.
 
     Parameters
     ----------
     design, surface : Design, Surface
         The sensor as designed.
-    unit : SensorInstance
+    unit : PrintedShell
         How this instance differs.
     refine : int
-        As in :func:`truth_shell`.
+        As in :func:`truth_mesh`.
     region : ChartBox, optional
         The touched part of the chart. None: all of it.
     local : bool
         Whether the mesh is fine in that part alone.
+    markers : Markers, optional
+        The design's, if they are known.
     """
-    mesh = truth_mesh(design, surface, refine)
+    mesh = truth_mesh(design, surface, refine, markers)
     if local and region is not None:
         mesh = local_mesh(design, surface, mesh, region)
     return mesh, instance_model(design, surface, unit, mesh)
 
 
 def instance_model(
-    design: Design, surface: Surface, unit: SensorInstance, mesh: ShellMesh
+    design: Design, surface: Surface, unit: PrintedShell, mesh: ShellMesh
 ) -> ShellModel:
     """Linear model of a virtual sensor on any mesh of its middle face."""
     thickness: float | FloatArray = design.wall.thickness_mm

@@ -22,6 +22,7 @@ from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.linear_response import point_motions, rigid_slope, turned_points
+from phytac_design.simulation.mesh_pair import MeshPair, change_to_limit
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -223,10 +224,6 @@ class DiscResponse:
         return out
 
 
-MeshPair = tuple[tuple[ShellMesh, ShellModel], tuple[ShellMesh, ShellModel]]
-"""Meshes with models of one shell, the finer first."""
-
-
 class ExtrapolatedResponse:
     """Receptors' linear motion under discs, extrapolated from two meshes to elements of size 0.
 
@@ -250,9 +247,7 @@ class ExtrapolatedResponse:
     """
 
     def __init__(self, design: Design, surface: Surface, markers: Markers, pair: MeshPair) -> None:
-        # Squared size of the coarser elements over that of the finer ones.
-        ratio = len(pair[0][1].quads) / len(pair[1][1].quads)
-        self.share = 1.0 / (ratio - 1.0)
+        self.pair = pair
         self.each = [
             DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
             for mesh, model in pair
@@ -278,7 +273,7 @@ class ExtrapolatedResponse:
     ) -> list[FloatArray]:
         out = []
         for (one, *_), (other, *_) in zip(fine, coarse, strict=True):
-            change = self.share * (one - other)
+            change = change_to_limit(self.pair, one, other)
             out.append(one + change)
             size = float(np.linalg.norm(out[-1][:, :3]))
             change_size = float(np.linalg.norm(change[:, :3]))

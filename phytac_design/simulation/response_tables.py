@@ -33,11 +33,11 @@ from phytac_design.simulation.interaction_tables import (
     InteractionSolver,
     pair_spacing_mm,
 )
+from phytac_design.simulation.mesh_pair import MeshPair
 from phytac_design.simulation.pressed_series import (
     DiscResponse,
     ExtrapolatedResponse,
     ImageResponse,
-    MeshPair,
     scaled_powers,
 )
 from phytac_design.simulation.turned_places import (

@@ -7,6 +7,7 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.layout import Markers
 from phytac_design.simulation.switch_law import SwitchLaw
+from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
 
@@ -29,6 +30,11 @@ class ThicknessField:
     waves: FloatArray
     domain: FloatArray
 
+    @classmethod
+    def even(cls, surface: Surface) -> "ThicknessField":
+        """Nominal thickness all over."""
+        return cls(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain)
+
 
 def thickness_factor(field: ThicknessField, uv: FloatArray) -> FloatArray:
     """Thickness over the nominal one at chart positions (m, 2), (m,).
@@ -42,19 +48,37 @@ def thickness_factor(field: ThicknessField, uv: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorInstance:
-    """A virtual sensor.
+class PrintedShell:
+    """The shell of a virtual sensor.
 
     Attributes
     ----------
-    number : int
-        0 is the design itself, without scatter.
     markers : Markers
         As printed: moved along the wall, and their heights.
     wall : ThicknessField
         Thickness.
     modulus : float
         Young's modulus over the design's.
+    """
+
+    markers: Markers
+    wall: ThicknessField
+    modulus: float
+
+
+def designed_shell(surface: Surface, markers: Markers) -> PrintedShell:
+    """Shell of the design itself, without scatter."""
+    return PrintedShell(markers=markers, wall=ThicknessField.even(surface), modulus=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorInstance(PrintedShell):
+    """A virtual sensor.
+
+    Attributes
+    ----------
+    number : int
+        0 is the design itself, without scatter.
     on_N, off_N : (n,) float
         Force on a footprint above which a switch comes on, and below which it goes off again.
     law : SwitchLaw, optional
@@ -66,9 +90,6 @@ class SensorInstance:
     """
 
     number: int
-    markers: Markers
-    wall: ThicknessField
-    modulus: float
     on_N: FloatArray
     off_N: FloatArray
     cameras: tuple[Camera, ...]

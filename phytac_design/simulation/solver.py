@@ -1,4 +1,12 @@
-"""How the wall of a virtual sensor moves under the touches of one sample."""
+r"""How the wall of a virtual sensor moves under the touches of one sample.
+
+A mesh is stiffer than the wall. Linear motion of the receptors is therefore extrapolated from two
+meshes, and large displacements are solved on the finer one under ρ times the force, ρ the ratio of
+the extrapolated to its own linear motion; the difference of the linear motions is added, as for a
+single press (:mod:`~phytac_design.mechanics.pressing.press`)::
+
+    u(F) = u_h(ρ F) + u_lin(F) − ρ u_lin,h(F)
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,13 +14,19 @@ from typing import Literal
 import numpy as np
 
 from phytac_design.design.spec import Design
+from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
+from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.discretisation import force_ratio
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.instance_shell import instance_shell
+from phytac_design.simulation.instance_shell import instance_shell, truth_levels
+from phytac_design.simulation.mesh_pair import change_to_limit, mesh_pair
+from phytac_design.simulation.pressed_series import RATIO_MAX
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.sample_plan import ChartBox
-from phytac_design.simulation.sensor_instance import SensorInstance
+from phytac_design.simulation.sensor_instance import PrintedShell
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import PhytacError
@@ -38,7 +52,7 @@ class SampleMotion:
     theory : str
         ``rest``, ``linear`` or ``large``: what was solved.
     error_estimate : float
-        Error of theory and iteration over the greatest translation; that of the mesh is not part
+        Error of theory and iteration over the greatest translation; that of the meshes is not part
         of it. NaN where it was not looked for (``linear`` set) or nothing was found.
     guarded : str
         Why the slow, path-following method was taken; "" where it was not.
@@ -52,6 +66,60 @@ class SampleMotion:
     guarded: str = ""
 
 
+class _Wall:
+    """A virtual sensor's shell on one mesh."""
+
+    def __init__(
+        self,
+        design: Design,
+        surface: Surface,
+        unit: PrintedShell,
+        mesh: ShellMesh,
+        model: ShellModel,
+    ) -> None:
+        receptor, uv = design.receptor, unit.markers.uv
+        self.surface, self.mesh, self.model = surface, mesh, model
+        self.kinematics = ReceptorKinematics(mesh, surface, uv, receptor.diameter_tube_mm / 2.0)
+        self.shell = QuasiNewtonSolver(model)
+        self._holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
+
+    def load(self, touches: Contacts, felt_N: FloatArray) -> FloatArray:
+        """Nodal load (6N,) of one sample; nothing presses on the receptors' holes."""
+        unit = indentation_loads(self.mesh, self.surface, touches, holes=self._holes)
+        return np.asarray(unit @ felt_N).ravel()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LinearLimit:
+    """Linear motion of the receptors under one sample.
+
+    Attributes
+    ----------
+    motion, own : (n, 6) float
+        Extrapolated, and on the finest mesh.
+    ratio : float
+        Force on that mesh over the sample's, under which it moves most nearly by ``motion``.
+    """
+
+    motion: FloatArray
+    own: FloatArray
+    ratio: float
+
+    def corrected(self, large: FloatArray) -> FloatArray:
+        """Large displacements (n, 6) of the finest mesh under the scaled force, corrected.
+
+        The correction is scaled down where the wall moves less than linear theory predicts.
+        """
+        size = _largest(self.motion)
+        damping = min(1.0, _largest(large) / size) if size > 0.0 else 0.0
+        return large + damping * (self.motion - self.ratio * self.own)
+
+
+def _largest(motion: FloatArray) -> float:
+    """Largest translation, mm."""
+    return float(np.linalg.norm(motion[:, :3], axis=1).max())
+
+
 class Solver:
     """The wall of one virtual sensor; built once, for many samples.
 
@@ -61,7 +129,7 @@ class Solver:
     ----------
     design, surface : Design, Surface
         The sensor as designed.
-    unit : SensorInstance
+    unit : PrintedShell
         How this instance differs.
     refine : int
         Elements of the mesh per marker pitch (``accuracy.PRESETS``).
@@ -74,38 +142,49 @@ class Solver:
         The touched part of the chart; None: all of it.
     local : bool
         Whether the mesh is fine in that part alone.
+    extrapolate : bool
+        Whether motion is extrapolated with a coarser mesh, where there is one
+        (:func:`.instance_shell.truth_levels`).
+    markers : Markers, optional
+        The design's, if they are known.
 
     Attributes
     ----------
-    kinematics : ReceptorKinematics
-        How the receptors move with the wall.
+    mesh, model, kinematics : ShellMesh, ShellModel, ReceptorKinematics
+        The shell on the finer mesh, and how the receptors move with it.
     nodes : int
-        Of the mesh.
+        Of that mesh.
     """
 
     def __init__(
         self,
         design: Design,
         surface: Surface,
-        unit: SensorInstance,
+        unit: PrintedShell,
         *,
         refine: int,
         displacement: Displacement = "auto",
         tolerance: float = 0.01,
         region: ChartBox | None = None,
         local: bool = True,
+        extrapolate: bool = True,
+        markers: Markers | None = None,
     ) -> None:
+        markers = markers or make_markers(design, surface)
+
+        def shell(level: int) -> tuple[ShellMesh, ShellModel]:
+            return instance_shell(
+                design, surface, unit, level, region, local=local, markers=markers
+            )
+
         self.surface = surface
         self.displacement, self.tolerance = displacement, tolerance
-        self.mesh, self.model = instance_shell(design, surface, unit, refine, region, local=local)
+        self._pair = mesh_pair(shell, truth_levels(refine) if extrapolate else None)
+        self._walls = [_Wall(design, surface, unit, *one) for one in self._pair or (shell(refine),)]
+        finest = self._walls[0]
+        self.mesh, self.model, self.kinematics = finest.mesh, finest.model, finest.kinematics
         self.nodes = len(self.mesh.nodes_mm)
         self.count = unit.markers.count
-        receptor = design.receptor
-        self.kinematics = ReceptorKinematics(
-            self.mesh, surface, unit.markers.uv, receptor.diameter_tube_mm / 2.0
-        )
-        self._holes = Holes.of(surface, unit.markers.uv, receptor.diameter_hole_mm / 2.0)
-        self._shell = QuasiNewtonSolver(self.model)
         self.deepest_mm = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1]) / 2.0
 
     def solve(self, touches: Contacts, felt_N: FloatArray) -> SampleMotion:
@@ -127,29 +206,32 @@ class Solver:
                 error_estimate=0.0,
             )
         theory: Theory = "linear" if self.displacement == "linear" else "large"
+        shell = self._walls[0].shell
         try:
-            force = self.load(touches, felt_N)
-            linear = self._shell.linear(force)
+            loads = [wall.load(touches, felt_N) for wall in self._walls]
+            linear = shell.linear(loads[0])
             dent = self._refuse_deep(linear)
+            limit = self._linear_limit(loads, linear)
         except (PhytacError, ArithmeticError, MemoryError, ValueError) as error:
             return _failed(str(error) or type(error).__name__, theory)
         if self.displacement == "linear":
             reason = self._too_deep(dent)
             return SampleMotion(
-                motion=self.kinematics.linear(linear),
+                motion=limit.motion,
                 status="flagged" if reason else "ok",
                 reason=reason,
                 theory="linear",
                 error_estimate=float("nan"),
             )
         tolerance = self.tolerance if self.displacement == "auto" else None
-        found = self._shell.solve(force, tolerance=tolerance, linear=linear)
+        ratio = limit.ratio
+        found = shell.solve(ratio * loads[0], tolerance=tolerance, linear=ratio * linear)
         if found.motion is None or not np.all(np.isfinite(found.motion)):
             return _failed(found.reason or "the motion is not finite", theory, found.guarded)
         theory = "large" if found.large else "linear"
-        moved = self.kinematics.large if found.large else self.kinematics.linear
+        moved = self.kinematics.large(found.motion) if found.large else limit.motion
         return SampleMotion(
-            motion=moved(found.motion),
+            motion=limit.corrected(moved) if found.large else moved,
             status=found.status,
             reason=found.reason,
             theory=theory,
@@ -159,8 +241,26 @@ class Solver:
 
     def load(self, touches: Contacts, felt_N: FloatArray) -> FloatArray:
         """Nodal load (6N,) of one sample; nothing presses on the receptors' holes."""
-        unit = indentation_loads(self.mesh, self.surface, touches, holes=self._holes)
-        return np.asarray(unit @ felt_N).ravel()
+        return self._walls[0].load(touches, felt_N)
+
+    def _linear_limit(self, loads: list[FloatArray], linear: FloatArray) -> "_LinearLimit":
+        """Linear motion of the receptors, extrapolated from the meshes.
+
+        Parameters
+        ----------
+        loads : list of (6N,) float
+            Of the sample, on each mesh.
+        linear : (6N,) float
+            Linear motion of the finest mesh.
+        """
+        own = self.kinematics.linear(linear)
+        if self._pair is None:
+            return _LinearLimit(motion=own, own=own, ratio=1.0)
+        coarser = self._walls[1]
+        other = coarser.kinematics.linear(coarser.shell.linear(loads[1]))
+        limit = own + change_to_limit(self._pair, own, other)
+        ratio = min(force_ratio(limit[:, :3], own[:, :3]), RATIO_MAX)
+        return _LinearLimit(motion=limit, own=own, ratio=ratio)
 
     def _too_deep(self, dent: float) -> str:
         """Why linear motion says little; "" where the wall moves by less than its thickness."""

@@ -1,6 +1,5 @@
 """What a contact at any place does to the markers' images: tables for the estimator ``auto``."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,8 @@ from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.cramer_rao import cell_prior
-from phytac_design.simulation.pressed_series import DiscResponse, MeshPair
+from phytac_design.simulation.mesh_pair import mesh_pair
+from phytac_design.simulation.pressed_series import DiscResponse
 from phytac_design.simulation.receptor_tables import tabulate_receptors
 from phytac_design.simulation.response_tables import (
     everywhere,
@@ -30,16 +30,12 @@ from phytac_design.stages.response_stage import (
     image_response_of,
 )
 from phytac_shapes.arrays import IntArray
-from phytac_shapes.errors import DesignError, NumericalError
 
 EXTRAPOLATED_REFINE_MIN = 3
 """Elements a pitch of the coarsest mesh whose linear part is extrapolated from others.
 
 Without, shifts per newton are 8 % off with 3 elements a pitch (13 % beside rims), 3 % with 4 (5 %).
 """
-ELEMENTS_RATIO_MIN = 1.5
-"""Least ratio of the elements of the two meshes; shipped designs have 1.9 or more. Nearer meshes
-multiply their difference by more than it is known to."""
 EXTRAPOLATED_MARKERS_MAX = 1400
 """Larger shells take more than ten seconds for that."""
 
@@ -53,31 +49,6 @@ def extrapolated_from(refine: int, markers: int) -> tuple[int, int] | None:
     if refine < EXTRAPOLATED_REFINE_MIN or markers > EXTRAPOLATED_MARKERS_MAX:
         return None
     return max(refine + refine % 2, 6), 4
-
-
-def mesh_pair(
-    shell: Callable[[int], tuple[ShellMesh, ShellModel]], refine: int, markers: int
-) -> MeshPair | None:
-    """Two meshes of a shell that linear motion is extrapolated from; None without.
-
-    Parameters
-    ----------
-    shell : callable
-        Elements per marker pitch -> mesh and model.
-    refine : int
-        Elements per marker pitch of the mesh whose tables are extrapolated.
-    markers : int
-        Number of markers.
-    """
-    levels = extrapolated_from(refine, markers)
-    if levels is None:
-        return None
-    try:
-        finer, coarser = (shell(level) for level in levels)
-    except (DesignError, NumericalError):  # it holds no markers, or is too irregular
-        return None
-    far_enough = len(finer[1].quads) >= ELEMENTS_RATIO_MIN * len(coarser[1].quads)
-    return (finer, coarser) if far_enough else None
 
 
 def run_places(context: Context, folder: Path) -> None:
@@ -98,7 +69,7 @@ def run_places(context: Context, folder: Path) -> None:
         spacing_mm=place_spacing_mm(context.surface, accuracy.place_share, radius),
         orders=accuracy.place_orders,
         near=scope.near if scope else everywhere,
-        pair=mesh_pair(shell, accuracy.refine, context.markers.count),
+        pair=mesh_pair(shell, extrapolated_from(accuracy.refine, context.markers.count)),
         progress=context.progress,
     )
     places = done.places

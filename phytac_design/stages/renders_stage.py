@@ -7,16 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from phytac_design.engine.stage import Context, Stage, write_facts
-from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
-from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
-from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.optics.frame_renderer import add_noise, quick_samples, render_frame
 from phytac_design.optics.pressed_scene import PressedScene
 from phytac_design.simulation.contacts import Contacts, Switching
-from phytac_design.simulation.linear_response import motion_responses, superpose
-from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-from phytac_design.stages.response_stage import frame_contacts, truth_model
+from phytac_design.simulation.linear_response import superpose
+from phytac_design.stages.response_stage import frame_contacts, truth_responses, truth_solver
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 
@@ -37,10 +32,7 @@ class FrameContacts:
 def draw_frame_contacts(context: Context) -> FrameContacts:
     """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
     contacts, _ = frame_contacts(context)
-    mesh, model = truth_model(context)
-    responses = motion_responses(
-        model, mesh, context.surface, context.markers, uv=contacts.uv, radius_mm=contacts.radius_mm
-    )
+    _, responses = truth_responses(context, contacts.uv, contacts.radius_mm)
     return press_frames(context, superpose(responses, contacts))
 
 
@@ -50,22 +42,8 @@ def press_frames(context: Context, motion: FloatArray) -> FrameContacts:
     pressed = FrameContacts(contacts=contacts, switching=switching, motion=motion)
     if context.accuracy.place_orders == 1:
         return pressed
-    mesh, model = truth_model(context)
     example = contacts.of(switching.example)
-    return replace(pressed, shown=large_motion(context, mesh, model, example))
-
-
-def large_motion(
-    context: Context, mesh: ShellMesh, model: ShellModel, contacts: Contacts
-) -> FloatArray | None:
-    """Motion (n, 6) under the contacts of one sample by large displacements; None without one."""
-    receptor, surface, uv = context.design.receptor, context.surface, context.markers.uv
-    holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
-    unit = indentation_loads(mesh, surface, contacts, holes=holes)
-    motion = QuasiNewtonSolver(model).solve(np.asarray(unit @ contacts.force_N).ravel()).motion
-    if motion is None:
-        return None
-    return ReceptorKinematics(mesh, surface, uv, receptor.diameter_tube_mm / 2.0).large(motion)
+    return replace(pressed, shown=truth_solver(context).solve(example, example.force_N).motion)
 
 
 def camera_scenes(context: Context) -> list[PressedScene]:

@@ -1,5 +1,6 @@
 """The decoder's own mechanics (response) and, on another mesh, simulated data (stage twin)."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,21 @@ from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unkno
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
 from phytac_design.simulation.dataset import Dataset
-from phytac_design.simulation.instance_shell import local_mesh, truth_mesh, truth_shell
+from phytac_design.simulation.instance_shell import (
+    truth_levels,
+    truth_shell,
+)
 from phytac_design.simulation.linear_response import (
     condense_pressed,
     motion_responses,
     pressed_motion,
     superpose,
 )
+from phytac_design.simulation.mesh_pair import change_to_limit, mesh_pair
 from phytac_design.simulation.pressed_series import ImageResponse
 from phytac_design.simulation.scenario.scene_scope import scope_of
+from phytac_design.simulation.sensor_instance import designed_shell
+from phytac_design.simulation.solver import Solver
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
@@ -176,15 +183,10 @@ def run_twin(context: Context, folder: Path) -> None:
     }
     framed, _ = frame_contacts(context)
     solved = (*drawn.values(), framed)
-    mesh, model = truth_model(context)
-    responses = motion_responses(
-        model,
-        mesh,
-        context.surface,
-        context.markers,
-        uv=np.concatenate([item.uv for item in solved]),
-        radius_mm=np.concatenate([item.radius_mm for item in solved]),
-        progress=context.progress,
+    nodes, responses = truth_responses(
+        context,
+        np.concatenate([item.uv for item in solved]),
+        np.concatenate([item.radius_mm for item in solved]),
     )
     dent = deepest_dent_mm(context, responses, np.concatenate([i.force_N for i in solved]))
     see = image_response_of(context)
@@ -202,8 +204,8 @@ def run_twin(context: Context, folder: Path) -> None:
     write_facts(
         folder,
         {
-            "model": f"linear {wall} on a finer, non-nested mesh; simulated",
-            "nodes": len(mesh.nodes_mm),
+            "model": f"linear {wall} on finer, non-nested meshes; simulated",
+            "nodes": nodes,
             "samples": count,
             "dent_mm_largest": dent,
             "contacts": {name: len(item.force_N) for name, item in drawn.items()},
@@ -212,15 +214,51 @@ def run_twin(context: Context, folder: Path) -> None:
     )
 
 
-def truth_model(context: Context) -> tuple[ShellMesh, ShellModel]:
+def truth_responses(
+    context: Context, uv: FloatArray, radius_mm: FloatArray
+) -> tuple[int, FloatArray]:
+    """Nodes of all meshes, and motion (c, n, 6) of the receptors per newton of each patch.
+
+    It is extrapolated with a coarser mesh, where there is one.
+    """
+    refine = context.accuracy.truth_refine
+    pair = mesh_pair(partial(truth_model, context), truth_levels(refine))
+    meshes = pair or (truth_model(context, refine),)
+    each = [
+        motion_responses(
+            model,
+            mesh,
+            context.surface,
+            context.markers,
+            uv=uv,
+            radius_mm=radius_mm,
+            progress=context.progress,
+        )
+        for mesh, model in meshes
+    ]
+    limit = each[0] + change_to_limit(pair, *each) if pair else each[0]
+    return sum(len(mesh.nodes_mm) for mesh, _ in meshes), limit
+
+
+def truth_model(context: Context, refine: int) -> tuple[ShellMesh, ShellModel]:
     """Mesh and model of the simulated sensor; in a scene fine in its regions alone."""
-    design, surface, scope = context.design, context.surface, scope_of(context)
-    refine, markers = context.accuracy.truth_refine, context.markers
-    if scope is None:
-        return truth_shell(design, surface, refine, markers)
-    mesh = local_mesh(design, surface, truth_mesh(design, surface, refine, markers), scope.touched)
-    receptors = not unknown_receptors(design)
-    return mesh, sensor_model(design, markers, mesh, receptors=receptors)
+    scope = scope_of(context)
+    region = scope.touched if scope else None
+    return truth_shell(context.design, context.surface, refine, context.markers, region)
+
+
+def truth_solver(context: Context) -> Solver:
+    """The wall of the simulated sensor under large displacements; in a scene as truth_model."""
+    scope = scope_of(context)
+    return Solver(
+        context.design,
+        context.surface,
+        designed_shell(context.surface, context.markers),
+        refine=context.accuracy.truth_refine,
+        displacement="large",
+        region=scope.touched if scope else None,
+        markers=context.markers,
+    )
 
 
 def deepest_dent_mm(context: Context, responses: FloatArray, force_N: FloatArray) -> float:

@@ -175,6 +175,7 @@ class SampleWorker:
             tolerance=solve.tolerance,
             region=job.plan.region,
             local=solve.local,
+            markers=job.markers,
         )
         self.imaging = imaging_model(
             job, views=sight.views, compliance_px=sight.compliance_px, at_rest=sight.rest

@@ -61,7 +61,7 @@ def unit_of(design: Design) -> SensorInstance:
     return SensorInstance(
         number=0,
         markers=markers,
-        wall=ThicknessField(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain),
+        wall=ThicknessField.even(surface),
         modulus=1.0,
         on_N=threshold,
         off_N=0.7 * threshold,

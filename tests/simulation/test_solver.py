@@ -19,6 +19,7 @@ from phytac_design.simulation.instance_shell import (
     instance_model,
     instance_shell,
     local_mesh,
+    truth_levels,
     truth_mesh,
     truth_shell,
 )
@@ -31,7 +32,7 @@ from phytac_design.simulation.scenario.instance_scatter import (
 )
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance, thickness_factor
-from phytac_design.simulation.solver import SampleMotion, Solver
+from phytac_design.simulation.solver import Displacement, SampleMotion, Solver, _LinearLimit
 from phytac_shapes.errors import NumericalError
 from tests.designs import small
 from verification.quadratic_shell import element_uv
@@ -178,6 +179,76 @@ def test_extremes_are_solved(large: Solver, rows: list[tuple[float, float, float
     assert 0.8 < ratio < 2.0
 
 
+def force_seen(found: SampleMotion, truth: np.ndarray) -> float:
+    """Force that the motion stands for over the true one, as least squares see it."""
+    moved = got(found)[:, :3]
+    return float(np.vdot(truth, moved) / np.vdot(truth, truth))
+
+
+@pytest.mark.parametrize(
+    ("number", "displacement", "at_most"), [(0, "linear", 0.35), (3, "large", 0.6)]
+)
+def test_motion_is_that_of_a_much_finer_mesh(
+    number: int, displacement: Displacement, at_most: float
+) -> None:
+    """By force, and for the tip that is worst, over the error of the mesh alone."""
+    unit = unit_of(DESIGN, number)
+
+    def solver(refine: int, *, extrapolate: bool) -> Solver:
+        return Solver(
+            DESIGN,
+            SURFACE,
+            unit,
+            refine=refine,
+            displacement=displacement,
+            extrapolate=extrapolate,
+        )
+
+    rows = [(*MIDDLE, 4.0, 20.0), (12.0, 0.5, 4.0, 12.0)]
+    plain, mine = solver(7, extrapolate=False), solver(7, extrapolate=True)
+    finer = [got(solved(solver(n, extrapolate=False), *rows))[:, :3] for n in (12, 6)]
+    truth = finer[0] + (finer[0] - finer[1]) / 3.0
+    off = [abs(force_seen(solved(each, *rows), truth) - 1.0) for each in (plain, mine)]
+    assert off[0] > 0.005
+    assert off[1] < at_most * off[0]
+    peak = np.linalg.norm(truth, axis=1).max()
+    worst = [
+        np.linalg.norm(got(solved(each, *rows))[:, :3] - truth, axis=1).max() / peak
+        for each in (plain, mine)
+    ]
+    assert worst[1] < at_most * worst[0]
+
+
+def test_a_little_force_moves_the_wall_by_the_extrapolated_linear_motion() -> None:
+    unit = unit_of(DESIGN)
+    large, linear = (
+        Solver(DESIGN, SURFACE, unit, refine=5, displacement=theory)
+        for theory in ("large", "linear")
+    )
+    touch = touching((*MIDDLE, 4.0, 1e-4))
+    a, b = (got(each.solve(touch, touch.force_N)) for each in (large, linear))
+    np.testing.assert_allclose(a, b, atol=1e-3 * np.abs(b).max())
+
+
+def test_a_correction_is_scaled_down_where_the_wall_stiffens() -> None:
+    one = np.ones((2, 6))
+    limit = _LinearLimit(motion=1.2 * one, own=one, ratio=1.1)
+    np.testing.assert_allclose(limit.corrected(0.6 * one), 0.6 + 0.5 * (1.2 - 1.1))
+    np.testing.assert_allclose(limit.corrected(2.4 * one), 2.4 + (1.2 - 1.1))
+
+
+@pytest.mark.parametrize("displacement", ["linear", "large"])
+def test_too_coarse_a_mesh_is_not_extrapolated(displacement: Displacement) -> None:
+    assert [truth_levels(n) for n in (1, 4, 5, 9, 13)] == [None, None, (5, 3), (9, 5), (13, 7)]
+    unit = unit_of(DESIGN)
+    a, b = (
+        Solver(DESIGN, SURFACE, unit, refine=4, displacement=displacement, extrapolate=extrapolate)
+        for extrapolate in (False, True)
+    )
+    row = (*MIDDLE, 4.0, 20.0)
+    np.testing.assert_array_equal(got(solved(a, row)), got(solved(b, row)))
+
+
 def test_what_cannot_be_solved_says_why(large: Solver, monkeypatch: pytest.MonkeyPatch) -> None:
     for rows, reason in (
         ([(*MIDDLE, 4.0, 5000.0)], "too strong for this wall"),
@@ -215,7 +286,9 @@ TOUCHED = {
 
 @pytest.fixture(scope="module")
 def finest() -> Solver:
-    return Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=11, displacement="linear")
+    return Solver(
+        DESIGN, SURFACE, unit_of(DESIGN), refine=11, displacement="linear", extrapolate=False
+    )
 
 
 @pytest.mark.parametrize("where", TOUCHED)
@@ -224,7 +297,15 @@ def test_only_the_touched_part_is_fine(where: str, finest: Solver) -> None:
     region = contact_box(SURFACE, touches.uv, touches.radius_mm)
     unit = unit_of(DESIGN)
     both = [
-        Solver(DESIGN, SURFACE, unit, refine=refine, displacement="linear", region=part)
+        Solver(
+            DESIGN,
+            SURFACE,
+            unit,
+            refine=refine,
+            displacement="linear",
+            region=part,
+            extrapolate=False,
+        )
         for part in (region, None)
     ]
     part, whole = both

@@ -8,7 +8,7 @@ interpolated by the same formula as the decoder's, see
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,8 +24,9 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.indenter import SPHERE, Indentations
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.imaging.imaging_model import CentroidErrors, ImagingModel
-from phytac_design.simulation.instance_shell import instance_shell
+from phytac_design.simulation.instance_shell import instance_shell, truth_levels
 from phytac_design.simulation.linear_response import rigid_slope
+from phytac_design.simulation.mesh_pair import mesh_pair
 from phytac_design.simulation.pressed_series import ImageResponse
 from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
 from phytac_design.simulation.run.switch_loads import SwitchLoads
@@ -97,12 +98,15 @@ class VirtualSensor:
             If its shell cannot be solved.
         """
         unit, training = imaging.unit, design.training
-        mesh, model = instance_shell(design, surface, unit, accuracy.truth_refine)
+        shell, refine = partial(instance_shell, design, surface, unit), accuracy.truth_refine
+        pair = mesh_pair(shell, truth_levels(refine))
+        mesh, model = pair[0] if pair else shell(refine)
         radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
         done = tabulate_responses(
             Sensor.of(design, surface, unit.markers),
             mesh=mesh,
             model=model,
+            pair=pair,
             see=_image_response(imaging),
             spacing_mm=SPACING * place_spacing_mm(surface, accuracy.place_share, radius),
             orders=accuracy.place_orders,

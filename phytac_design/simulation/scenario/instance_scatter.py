@@ -103,7 +103,7 @@ def _wall(surface: Surface, section: SensorInstanceSection, seed: int) -> Thickn
     and end with slope zero, so that the wall is smooth there.
     """
     if section.number == 0:
-        return ThicknessField(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain)
+        return ThicknessField.even(surface)
     # Waves, and most cycles of one along an axis; part of what a seed stands for.
     waves, cycles_max = 6, 3
     rng = random_stream(seed, RandomStream.WAVE, section.number)

@@ -22,7 +22,7 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.runner import StageCosts
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
-from phytac_design.simulation.instance_shell import MARGIN, truth_mesh
+from phytac_design.simulation.instance_shell import MARGIN, truth_levels, truth_mesh
 from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE
 from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING, place_spacing_mm
 from phytac_design.simulation.scenario.scene_scope import PRESSES_LEAST, Scope
@@ -48,7 +48,7 @@ class Counts:
     repeats : int
         Identical sectors around the sensor; 1 without symmetry.
     nodes, truth_nodes : int
-        Of the decoder's mesh and of the simulated sensor's mesh.
+        Of the decoder's mesh and of the simulated sensor's meshes together.
     response_loads, twin_loads : int
         Right-hand sides.
     places, place_solves, large_solves : int
@@ -93,7 +93,10 @@ class Workload:
         self.repeats = repeats(self.surface, self.markers)
         self.nodes = cache(lambda refine: len(self._mesh(refine).nodes_mm))
         self.truth_nodes = cache(
-            lambda refine: len(truth_mesh(design, self.surface, refine, self.markers).nodes_mm)
+            lambda refine: sum(
+                len(truth_mesh(design, self.surface, level, self.markers).nodes_mm)
+                for level in truth_levels(refine) or (refine,)
+            )
         )
         self.table_sectors = cache(self._table_sectors)
         self.place_rings = cache(self._place_rings)

@@ -14,13 +14,10 @@ from phytac_design.core.json_values import finite
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.layout.arc import by_area
-from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
-from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.simulation.contacts import Contacts, Switching, switch_states
-from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.build import BuildResult, build
-from phytac_design.stages.response_stage import image_response_of, truth_model
+from phytac_design.stages.response_stage import image_response_of, truth_solver
 from phytac_design.study.planning.plan import BuildPlan
 from phytac_shapes.arrays import FloatArray
 
@@ -132,18 +129,13 @@ def reference_presses(
         force_N=low + share * (high - low),
         samples=len(uv),
     )
-    mesh, model = truth_model(context)
-    receptor = design.receptor
-    holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
-    kinematics = ReceptorKinematics(mesh, surface, markers.uv, receptor.diameter_tube_mm / 2.0)
-    shell, vision = QuasiNewtonSolver(model), image_response_of(context)
-    unit = indentation_loads(mesh, surface, contacts, holes=holes).toarray()
+    solver, vision = truth_solver(context), image_response_of(context)
     shift = np.full((len(uv), markers.count, 2), np.nan)
-    for k, force in enumerate(contacts.force_N):
+    for k in range(len(uv)):
         progress(f"audit: press {k + 1} of {len(uv)}")
-        motion = shell.solve(force * unit[:, k]).motion
+        motion = solver.solve(contacts.of(k), contacts.force_N[[k]]).motion
         if motion is not None:
-            shift[k] = vision.shift(kinematics.large(motion.ravel()))
+            shift[k] = vision.shift(motion)
     return ReferencePresses(
         contacts=contacts,
         switching=switch_states(context.sensor, contacts),

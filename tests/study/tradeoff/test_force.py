@@ -51,20 +51,30 @@ def test_finer_meshes_and_series_err_less(error: ForceError) -> None:
 
 
 def test_the_reference_is_met_by_a_third_mesh(error: ForceError) -> None:
-    """Extrapolated from 5 and 9 it predicts the result of 13: d(13) = d(∞) − C/13²."""
-    linear, fine = error.linear_reference, error.linear_truth(13)
-    nine = error.linear_truth(9)
+    """Extrapolated from 6 and 11 it predicts the result of 14: d(14) = d(∞) − C/14²."""
+    linear, fine = error.linear_reference, error.linear_truth(14)
+    other = error.linear_truth(11)
     residual = rms(fit_forces(fine[:, None], linear) - 1.0)
-    assert residual < 0.75 * rms(fit_forces(nine[:, None], linear) - 1.0)
+    assert residual < 0.75 * rms(fit_forces(other[:, None], linear) - 1.0)
     assert residual < 0.006
-    # Errors of 1/25 and 1/81 of the first mesh extrapolate to none.
-    limit = extrapolated(np.array([1.0 + 1.0 / 25.0]), np.array([1.0 + 1.0 / 81.0]))
+    # Errors of 1/36 and 1/121 of the first mesh extrapolate to none.
+    limit = extrapolated(np.array([1.0 + 1.0 / 36.0]), np.array([1.0 + 1.0 / 121.0]))
     assert limit == pytest.approx(1.0)
-    five, large = error.truth(5), error.truth(9)
+    coarse, large = error.truth(6), error.truth(11)
     for name in ("shift_px", "motion"):
-        step = getattr(large, name) - getattr(five, name)
-        limit = getattr(large, name) + step * 25.0 / (81.0 - 25.0)
+        step = getattr(large, name) - getattr(coarse, name)
+        limit = getattr(large, name) + step * 36.0 / (121.0 - 36.0)
         assert np.allclose(getattr(error.reference, name), limit)
+
+
+def test_simulated_sensors_of_all_but_the_coarsest_meshes_are_extrapolated(
+    error: ForceError,
+) -> None:
+    plain = {n: rms(fit_forces(error.linear_truth(n)[:, None], error.linear_reference) - 1.0)
+             for n in (4, 5, 9)}  # fmt: skip
+    assert error.truth_error(4) == plain[4]
+    assert error.truth_error(5) < 0.6 * plain[5]
+    assert error.truth_error(9) < 0.4 * plain[9]
 
 
 def test_the_pilot_predicts_the_error(error: ForceError) -> None:
