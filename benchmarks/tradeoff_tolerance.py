@@ -19,7 +19,7 @@ TOLERANCES = (0.10, 0.05, 0.02, 0.01, 0.005)
 DESIGNS, SEED = 40, 40
 WITHIN = 95.0
 """Share of choices, %, whose achieved error must be within the tolerance."""
-REFERENCE_IS = "large displacements extrapolated from two meshes not nested in the setting's"
+REFERENCE_IS = "large displacements extrapolated from two meshes that are not the setting's"
 
 
 def judge(data: dict[str, Any]) -> dict[str, Any]:

@@ -153,7 +153,7 @@ def mesh_rows(table: Table, *, quick: bool) -> None:
     The reference is of two much finer meshes, of even single contacts under large displacements.
     """
     names = ("cylinder40",) if quick else ("cylinder60", "hemisphere", "cuboid", "grip")
-    refines, finest, samples = ((5,), 8, 2) if quick else ((5, 9), 14, 8)
+    refines, finest, samples = ((6,), 8, 2) if quick else ((6, 9), 14, 8)
     for name in names:
         this = Sensor(load_design(name))
         unit = designed_shell(this.surface, this.markers)

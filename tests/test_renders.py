@@ -4,8 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from phytac_design.engine.stage import Context
+from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.linear_response import motion_responses
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.renders_stage import (
     draw_frame_contacts,
@@ -13,6 +16,7 @@ from phytac_design.stages.renders_stage import (
     rendered_example,
     write_frame,
 )
+from phytac_design.stages.response_stage import truth_responses
 from tests.designs import COARSE, tiny
 
 
@@ -24,6 +28,37 @@ def test_contacts_of_frames_are_solved_with_those_of_the_data() -> None:
     alone = draw_frame_contacts(context).motion
     solved = context.arrays("twin")["frames.motion"]
     np.testing.assert_allclose(solved, alone, rtol=1e-6, atol=1e-9 * np.abs(alone).max())
+
+
+def test_data_are_extrapolated_from_two_meshes() -> None:
+    design = tiny()
+
+    def of(refine: int) -> tuple[int, np.ndarray]:
+        accuracy = replace(COARSE, truth_refine=refine)
+        context = Context(design=design, accuracy=accuracy, seed=0, progress=lambda _: None)
+        uv = context.surface.domain.mean(axis=1)[None]
+        return truth_responses(context, uv, np.array([4.0]))
+
+    def plain(refine: int) -> tuple[int, np.ndarray]:
+        context = Context(design=design, accuracy=COARSE, seed=0, progress=lambda _: None)
+        mesh, model = truth_shell(design, context.surface, refine)
+        uv = context.surface.domain.mean(axis=1)[None]
+        motion = motion_responses(
+            model, mesh, context.surface, context.markers, uv=uv, radius_mm=np.array([4.0])
+        )
+        return len(mesh.nodes_mm), motion
+
+    (many, fine), (few, coarse) = plain(6), plain(4)
+    nodes, found = of(6)
+    assert nodes == many + few
+    # Beyond the finer mesh, by what theory has: the error falls with the elements' squared size.
+    step = fine - coarse
+    share = float(np.vdot(found - fine, step) / np.vdot(step, step))
+    np.testing.assert_allclose(found, fine + share * step, atol=1e-9 * np.abs(found).max())
+    assert share == pytest.approx(1.0 / ((6 / 4) ** 2 - 1.0), rel=0.1)
+    # Too coarse to be extrapolated from.
+    assert of(4)[0] == few
+    np.testing.assert_array_equal(of(4)[1], coarse)
 
 
 def test_an_example_without_a_frame_of_its_own_is_its_sample(tmp_path: Path) -> None:

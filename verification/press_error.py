@@ -19,6 +19,7 @@ from phytac_design.mechanics.pressing.press import linear_limit, press, probed_m
 from phytac_design.mechanics.shell.discretisation import ProbedShell, probed_sensor
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.simulation.mesh_pair import mesh_pair
 from phytac_design.simulation.pressed_series import DiscResponse, ExtrapolatedResponse
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
@@ -110,7 +111,10 @@ class PressedDesign:
             return self._translations(disc), len(mesh.quads)
 
         truth = _limit(solve, 16, 8)
-        pair = ExtrapolatedResponse(self.design, surface, markers, (self.shell(6), self.shell(4)))
+        meshes = mesh_pair(self.shell, (6, 4))
+        if meshes is None:
+            raise NumericalError("press-one-mesh", f"{self.design.name} has one mesh only")
+        pair = ExtrapolatedResponse(self.design, surface, markers, meshes)
         done = self._translations(pair)
         size = np.linalg.norm(truth, axis=(0, 1))
         return PressErrors(

@@ -46,8 +46,8 @@ SHARE_MIN = 0.9
 SHARE_BAD = 0.5
 """Below this share the answer is no (assumed)."""
 SIMULATED = (
-    "All decoder figures are in simulation: contacts are solved with a linear shell model (on a "
-    "finer mesh than the decoder's own), projected through the camera, and given pixel noise. "
+    "All decoder figures are in simulation: contacts are solved with a linear shell model (on "
+    "other meshes than the decoder's own), projected through the camera, and given pixel noise. "
     "Large displacement, printed scatter and real frames are not in them."
 )
 

@@ -1,4 +1,4 @@
-"""The simulated sensor's own shell: its mesh is finer than the decoder's and not nested in it."""
+"""The simulated sensor's own shell; its meshes are not those of the decoder, nor nested in them."""
 
 import numpy as np
 
@@ -12,41 +12,37 @@ from phytac_design.mechanics.shell.receptor_stiffness import (
     unknown_receptors,
 )
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_design.simulation.mesh_pair import MeshPair
 from phytac_design.simulation.sample_plan import ChartBox
 from phytac_design.simulation.sensor_instance import PrintedShell, designed_shell, thickness_factor
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, NumericalError
 
 MARGIN = 1.0
 """How far beyond the touched part the mesh stays fine, in √(R t), the length in which bending
 decays; twice that gains nothing."""
-COARSER_REFINE_MIN = 3
-"""Fewest elements a pitch of the coarser of two meshes that motion is extrapolated from."""
+COARSER_REFINE_MIN = 4
+"""Fewest elements a pitch of the coarser of two meshes that motion is extrapolated from. With 3,
+the layer beside a clamped rim is not resolved: tips there are further off than without."""
 
 
 def truth_levels(refine: int) -> tuple[int, int] | None:
     """Elements a pitch of two meshes that linear motion is extrapolated from, the finer first.
 
-    None where the coarser one, of about twice the element size, is too coarse.
+    The coarser one has about half as many; None where that is too coarse.
     """
-    coarser = (refine + 1) // 2
-    return (refine, coarser) if coarser >= COARSER_REFINE_MIN else None
+    coarser = max((refine + 1) // 2, COARSER_REFINE_MIN)
+    return (refine, coarser) if 2 * refine >= 3 * coarser else None
 
 
 def truth_shell(
-    design: Design,
-    surface: Surface,
-    refine: int,
-    markers: Markers | None = None,
-    region: ChartBox | None = None,
+    design: Design, surface: Surface, refine: int, markers: Markers | None = None
 ) -> tuple[ShellMesh, ShellModel]:
-    """Mesh and linear model of the simulated sensor as designed.
-
-    Parameters as of :func:`instance_shell`; ``markers`` are the design's, if they are known.
-    """
+    """Mesh and linear model of the sensor as designed; ``markers`` are its own, if known."""
     markers = markers or make_markers(design, surface)
-    unit = designed_shell(surface, markers)
-    return instance_shell(design, surface, unit, refine, region, markers=markers)
+    mesh = truth_mesh(design, surface, refine, markers)
+    return mesh, instance_model(design, surface, designed_shell(surface, markers), mesh)
 
 
 def truth_mesh(
@@ -71,7 +67,7 @@ def truth_mesh(
     return plain_mesh(surface, thickness_mm=wall, size_mm=cell / refine)
 
 
-def instance_shell(
+def instance_shells(
     design: Design,
     surface: Surface,
     unit: PrintedShell,
@@ -80,10 +76,11 @@ def instance_shell(
     *,
     local: bool = True,
     markers: Markers | None = None,
-) -> tuple[ShellMesh, ShellModel]:
-    """Mesh and linear model of a sensor instance: its own wall, material and receptor positions.
+) -> tuple[tuple[ShellMesh, ShellModel], MeshPair | None]:
+    """Mesh and linear model of a sensor instance, and the pair that motion is extrapolated from.
 
-    The wall has its receptors' stiffness, as the real one does, wherever that is known.
+    The wall, the material and the receptors' positions are the instance's own. The wall has its
+    receptors' stiffness, as the real one does, wherever that is known.
 
     Parameters
     ----------
@@ -96,14 +93,34 @@ def instance_shell(
     region : ChartBox, optional
         The touched part of the chart. None: all of it.
     local : bool
-        Whether the mesh is fine in that part alone.
+        Whether meshes are fine in that part alone.
     markers : Markers, optional
         The design's, if they are known.
+
+    Returns
+    -------
+    (ShellMesh, ShellModel)
+        The finer of the pair's.
+    MeshPair or None
+        None where the coarser mesh would be too coarse (:func:`truth_levels`) or too irregular.
     """
-    mesh = truth_mesh(design, surface, refine, markers)
-    if local and region is not None:
-        mesh = local_mesh(design, surface, mesh, region)
-    return mesh, instance_model(design, surface, unit, mesh)
+    markers = markers or make_markers(design, surface)
+    whole = truth_mesh(design, surface, refine, markers)
+    mesh = local_mesh(design, surface, whole, region) if local and region else whole
+    finer = mesh, instance_model(design, surface, unit, mesh)
+    levels = truth_levels(refine)
+    if levels is None:
+        return finer, None
+    try:
+        coarse_whole = coarse = truth_mesh(design, surface, levels[1], markers)
+        if region and mesh is not whole:
+            coarse = _thinned(design, surface, coarse, region)
+        coarser = coarse, instance_model(design, surface, unit, coarse)
+    except (DesignError, NumericalError):
+        return finer, None
+    # Local meshes have the element sizes of the whole ones in the touched part.
+    ratio = len(whole.quads) / len(coarse_whole.quads)
+    return finer, MeshPair(finer=finer, coarser=coarser, ratio=ratio)
 
 
 def instance_model(
@@ -135,6 +152,12 @@ def local_mesh(design: Design, surface: Surface, whole: ShellMesh, region: Chart
     share_max = 0.85
     if any(surface.poles) or region.whole.all():
         return whole
+    mesh = _thinned(design, surface, whole, region)
+    worth = len(mesh.nodes_mm) <= share_max * len(whole.nodes_mm)
+    return mesh if worth else whole
+
+
+def _thinned(design: Design, surface: Surface, whole: ShellMesh, region: ChartBox) -> ShellMesh:
     size = np.sort(np.ptp(surface.bounds_mm(), axis=0))[1] / 2.0
     margin = MARGIN * float(np.sqrt(size * design.wall.thickness_mm))
     lines = []
@@ -146,6 +169,4 @@ def local_mesh(design: Design, surface: Surface, whole: ShellMesh, region: Chart
             part = float(region.low[axis]), float(region.high[axis])
             fine = thinned_lines(surface, axis, fine, part=part, margin_mm=margin)
         lines.append(fine)
-    mesh = _shell(surface, product_grid(surface, lines[0], lines[1]), whole.thickness_mm)
-    worth = len(mesh.nodes_mm) <= share_max * len(whole.nodes_mm)
-    return mesh if worth else whole
+    return _shell(surface, product_grid(surface, lines[0], lines[1]), whole.thickness_mm)

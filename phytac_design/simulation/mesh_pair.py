@@ -5,17 +5,42 @@ The error of linear motion falls with the square of the elements' size
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, NumericalError
 
-MeshPair = tuple[tuple[ShellMesh, ShellModel], tuple[ShellMesh, ShellModel]]
-"""Meshes with models of one shell, the finer first."""
 ELEMENTS_RATIO_MIN = 1.5
 """Least ratio of the elements of the two meshes; shipped designs have 1.9 or more. Nearer meshes
 multiply their difference by more than it is known to."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshPair:
+    """Two meshes of one shell that are refined alike everywhere.
+
+    Attributes
+    ----------
+    finer, coarser : (ShellMesh, ShellModel)
+        Mesh and model.
+    ratio : float
+        Squared size of the coarser elements over that of the finer ones.
+    """
+
+    finer: tuple[ShellMesh, ShellModel]
+    coarser: tuple[ShellMesh, ShellModel]
+    ratio: float
+
+    @property
+    def each(self) -> list[tuple[ShellMesh, ShellModel]]:
+        """Both, the finer first."""
+        return [self.finer, self.coarser]
+
+    def change_to_limit(self, fine: FloatArray, coarse: FloatArray) -> FloatArray:
+        """What to add to linear motion on the finer mesh; both motions are of the same points."""
+        return (fine - coarse) / (self.ratio - 1.0)
 
 
 def mesh_pair(
@@ -36,12 +61,7 @@ def mesh_pair(
         finer, coarser = (shell(level) for level in levels)
     except (DesignError, NumericalError):  # it holds no markers, or is too irregular
         return None
-    far_enough = len(finer[1].quads) >= ELEMENTS_RATIO_MIN * len(coarser[1].quads)
-    return (finer, coarser) if far_enough else None
-
-
-def change_to_limit(pair: MeshPair, fine: FloatArray, coarse: FloatArray) -> FloatArray:
-    """What to add to linear motion on the finer mesh; both motions are of the same points."""
-    # Squared size of the coarser elements over that of the finer ones.
-    ratio = len(pair[0][1].quads) / len(pair[1][1].quads)
-    return (fine - coarse) / (ratio - 1.0)
+    ratio = len(finer[1].quads) / len(coarser[1].quads)
+    if ratio < ELEMENTS_RATIO_MIN:
+        return None
+    return MeshPair(finer=finer, coarser=coarser, ratio=ratio)

@@ -22,7 +22,7 @@ from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.linear_response import point_motions, rigid_slope, turned_points
-from phytac_design.simulation.mesh_pair import MeshPair, change_to_limit
+from phytac_design.simulation.mesh_pair import MeshPair
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -250,7 +250,7 @@ class ExtrapolatedResponse:
         self.pair = pair
         self.each = [
             DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
-            for mesh, model in pair
+            for mesh, model in pair.each
         ]
         self.claimed: list[float] = []
 
@@ -268,12 +268,20 @@ class ExtrapolatedResponse:
         )
         return self._limits(fine, coarse)
 
+    def sheared(self, uv: FloatArray, radius_mm: float) -> list[list[FloatArray]]:
+        """Return for each place (c, 2) the motions (n, 6), see ``DiscResponse``."""
+        fine, coarse = (each.sheared(uv, radius_mm) for each in self.each)
+        return [
+            [one + self.pair.change_to_limit(one, other) for one, other in zip(*both, strict=True)]
+            for both in zip(fine, coarse, strict=True)
+        ]
+
     def _limits(
         self, fine: list[list[FloatArray]], coarse: list[list[FloatArray]]
     ) -> list[FloatArray]:
         out = []
         for (one, *_), (other, *_) in zip(fine, coarse, strict=True):
-            change = change_to_limit(self.pair, one, other)
+            change = self.pair.change_to_limit(one, other)
             out.append(one + change)
             size = float(np.linalg.norm(out[-1][:, :3]))
             change_size = float(np.linalg.norm(change[:, :3]))

@@ -249,7 +249,7 @@ def tabulate_responses(
     pair : MeshPair, optional
         Two meshes that the first power of the force is extrapolated from; that of ``mesh`` without.
         The higher powers are those of ``mesh``, scaled (:func:`.pressed_series.scaled_powers`), and
-        so are pairs, by the median of all places; force along the surface is that of ``mesh``.
+        so are pairs, by the median of all places; force along the surface is extrapolated as well.
     bytes_max : float
         Largest tables; places stand wider apart where they would be larger.
 
@@ -264,7 +264,7 @@ def tabulate_responses(
     training = design.training
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     sectors, turn = sectors_of(model, mesh, markers)
-    if pair and any(column_turn(each, on, sectors) is None for on, each in pair):
+    if pair and any(column_turn(each, on, sectors) is None for on, each in pair.each):
         sectors, turn = 1, None
     least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / bytes_max)
     spacing = max(spacing_mm, float(least))
@@ -294,7 +294,7 @@ def tabulate_responses(
         return grid.table(
             apart_mm,
             2,
-            lambda at: first.sheared(at, radius),
+            lambda at: (extrapolated or first).sheared(at, radius),
             lambda motions: np.concatenate([see.powers([one], NONE) for one in motions]),
             what=", force along the surface",
         )[0]

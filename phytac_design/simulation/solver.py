@@ -14,15 +14,14 @@ from typing import Literal
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.layout import Markers, make_markers
+from phytac_design.layout import Markers
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.discretisation import force_ratio
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.instance_shell import instance_shell, truth_levels
-from phytac_design.simulation.mesh_pair import change_to_limit, mesh_pair
+from phytac_design.simulation.instance_shell import instance_shells
 from phytac_design.simulation.pressed_series import RATIO_MAX
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.sample_plan import ChartBox
@@ -170,17 +169,14 @@ class Solver:
         extrapolate: bool = True,
         markers: Markers | None = None,
     ) -> None:
-        markers = markers or make_markers(design, surface)
-
-        def shell(level: int) -> tuple[ShellMesh, ShellModel]:
-            return instance_shell(
-                design, surface, unit, level, region, local=local, markers=markers
-            )
-
+        finer, pair = instance_shells(
+            design, surface, unit, refine, region, local=local, markers=markers
+        )
         self.surface = surface
         self.displacement, self.tolerance = displacement, tolerance
-        self._pair = mesh_pair(shell, truth_levels(refine) if extrapolate else None)
-        self._walls = [_Wall(design, surface, unit, *one) for one in self._pair or (shell(refine),)]
+        self._pair = pair if extrapolate else None
+        meshes = self._pair.each if self._pair else [finer]
+        self._walls = [_Wall(design, surface, unit, *one) for one in meshes]
         finest = self._walls[0]
         self.mesh, self.model, self.kinematics = finest.mesh, finest.model, finest.kinematics
         self.nodes = len(self.mesh.nodes_mm)
@@ -229,9 +225,11 @@ class Solver:
         if found.motion is None or not np.all(np.isfinite(found.motion)):
             return _failed(found.reason or "the motion is not finite", theory, found.guarded)
         theory = "large" if found.large else "linear"
-        moved = self.kinematics.large(found.motion) if found.large else limit.motion
+        motion = limit.motion
+        if found.large:
+            motion = limit.corrected(self.kinematics.large(found.motion))
         return SampleMotion(
-            motion=limit.corrected(moved) if found.large else moved,
+            motion=motion,
             status=found.status,
             reason=found.reason,
             theory=theory,
@@ -243,7 +241,7 @@ class Solver:
         """Nodal load (6N,) of one sample; nothing presses on the receptors' holes."""
         return self._walls[0].load(touches, felt_N)
 
-    def _linear_limit(self, loads: list[FloatArray], linear: FloatArray) -> "_LinearLimit":
+    def _linear_limit(self, loads: list[FloatArray], linear: FloatArray) -> _LinearLimit:
         """Linear motion of the receptors, extrapolated from the meshes.
 
         Parameters
@@ -258,7 +256,7 @@ class Solver:
             return _LinearLimit(motion=own, own=own, ratio=1.0)
         coarser = self._walls[1]
         other = coarser.kinematics.linear(coarser.shell.linear(loads[1]))
-        limit = own + change_to_limit(self._pair, own, other)
+        limit = own + self._pair.change_to_limit(own, other)
         ratio = min(force_ratio(limit[:, :3], own[:, :3]), RATIO_MAX)
         return _LinearLimit(motion=limit, own=own, ratio=ratio)
 

@@ -30,7 +30,7 @@ class FrameContacts:
 
 
 def draw_frame_contacts(context: Context) -> FrameContacts:
-    """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
+    """Draw contacts of one to five at once and solve them on the simulated sensor's meshes."""
     contacts, _ = frame_contacts(context)
     _, responses = truth_responses(context, contacts.uv, contacts.radius_mm)
     return press_frames(context, superpose(responses, contacts))

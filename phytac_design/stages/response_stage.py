@@ -1,6 +1,5 @@
 """The decoder's own mechanics (response) and, on another mesh, simulated data (stage twin)."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +14,15 @@ from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unkno
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
 from phytac_design.simulation.dataset import Dataset
-from phytac_design.simulation.instance_shell import (
-    truth_levels,
-    truth_shell,
-)
+from phytac_design.simulation.instance_shell import instance_shells
 from phytac_design.simulation.linear_response import (
     condense_pressed,
     motion_responses,
     pressed_motion,
     superpose,
 )
-from phytac_design.simulation.mesh_pair import change_to_limit, mesh_pair
 from phytac_design.simulation.pressed_series import ImageResponse
+from phytac_design.simulation.sample_plan import ChartBox
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.simulation.sensor_instance import designed_shell
 from phytac_design.simulation.solver import Solver
@@ -159,10 +155,10 @@ def frame_contacts(context: Context) -> tuple[Contacts, Switching]:
 
 
 def run_twin(context: Context, folder: Path) -> None:
-    """Draw contacts, solve them on the finer mesh, project and add noise.
+    """Draw contacts, solve them on the simulated sensor's meshes, project and add noise.
 
-    The contacts of rendered frames are solved with them, whether or not frames are wanted: on that
-    mesh the factor is what takes time.
+    The contacts of rendered frames are solved with them, whether or not frames are wanted: factors
+    of those meshes are what takes time.
     """
     design = context.design
     rng = np.random.default_rng([context.seed, 1])
@@ -221,10 +217,17 @@ def truth_responses(
 
     It is extrapolated with a coarser mesh, where there is one.
     """
-    refine = context.accuracy.truth_refine
-    pair = mesh_pair(partial(truth_model, context), truth_levels(refine))
-    meshes = pair or (truth_model(context, refine),)
-    each = [
+    unit = designed_shell(context.surface, context.markers)
+    finer, pair = instance_shells(
+        context.design,
+        context.surface,
+        unit,
+        context.accuracy.truth_refine,
+        _touched(context),
+        markers=context.markers,
+    )
+    meshes = pair.each if pair else [finer]
+    motion, *other = (
         motion_responses(
             model,
             mesh,
@@ -235,30 +238,29 @@ def truth_responses(
             progress=context.progress,
         )
         for mesh, model in meshes
-    ]
-    limit = each[0] + change_to_limit(pair, *each) if pair else each[0]
-    return sum(len(mesh.nodes_mm) for mesh, _ in meshes), limit
-
-
-def truth_model(context: Context, refine: int) -> tuple[ShellMesh, ShellModel]:
-    """Mesh and model of the simulated sensor; in a scene fine in its regions alone."""
-    scope = scope_of(context)
-    region = scope.touched if scope else None
-    return truth_shell(context.design, context.surface, refine, context.markers, region)
+    )
+    if pair:
+        motion += pair.change_to_limit(motion, other[0])
+    return sum(len(mesh.nodes_mm) for mesh, _ in meshes), motion
 
 
 def truth_solver(context: Context) -> Solver:
-    """The wall of the simulated sensor under large displacements; in a scene as truth_model."""
-    scope = scope_of(context)
+    """The wall of the simulated sensor under large displacements."""
     return Solver(
         context.design,
         context.surface,
         designed_shell(context.surface, context.markers),
         refine=context.accuracy.truth_refine,
         displacement="large",
-        region=scope.touched if scope else None,
+        region=_touched(context),
         markers=context.markers,
     )
+
+
+def _touched(context: Context) -> ChartBox | None:
+    """Part of the chart that a scene touches; None: all of it."""
+    scope = scope_of(context)
+    return scope.touched if scope else None
 
 
 def deepest_dent_mm(context: Context, responses: FloatArray, force_N: FloatArray) -> float:

@@ -28,7 +28,7 @@ from phytac_design.simulation.interaction_tables import (
     pair_spacing_mm,
 )
 from phytac_design.simulation.linear_response import turned_points
-from phytac_design.simulation.mesh_pair import mesh_pair
+from phytac_design.simulation.mesh_pair import MeshPair, mesh_pair
 from phytac_design.simulation.pressed_series import (
     DiscResponse,
     ExtrapolatedResponse,
@@ -148,7 +148,7 @@ def test_force_along_the_surface_moves_markers_as_the_solved_wall_does() -> None
     table = places.shear_at(SURFACE.point(uv))[0]
     for axis, friction in enumerate(((0.5, 0.0), (0.0, 0.5))):
         shifts = true_shifts(uv, places.radius_mm, 0.01, friction=friction)
-        # The table of force along the surface is that of its own mesh, not extrapolated.
+        # The tables are of one mesh, the other motion is extrapolated.
         assert off(table[axis], (shifts - plain) / 0.005) < 0.1
 
 
@@ -441,7 +441,7 @@ def test_markers_and_both_meshes_have_to_repeat_themselves(
     moved = MARKERS.mid_mm.copy()
     moved[3] += 0.01
     assert sectors_of(model, mesh, replace(MARKERS, mid_mm=moved)) == (1, None)
-    pair = (BENCH.shell(3), (mesh, model))
+    pair = MeshPair(finer=BENCH.shell(3), coarser=(mesh, model), ratio=1.5)
     whole = made(2, spacing_mm=8.0, orders=1, pair=pair)
     assert whole.solves < len(whole.places.point_mm) / 2
     monkeypatch.setattr(response_tables, "column_turn", lambda *_: None)
@@ -553,7 +553,7 @@ def test_the_first_power_is_extrapolated_from_two_meshes() -> None:
     coarse = bench.shell(4)
     plain, done = (
         bench.tables(coarse, spacing_mm=12.0, orders=1, pair=each)
-        for each in (None, (bench.shell(6), coarse))
+        for each in (None, mesh_pair(bench.shell, (6, 4)))
     )
     assert done.solves == plain.solves < len(plain.places.point_mm)
     uv = bench.surface.chart(plain.places.point_mm)
@@ -576,7 +576,8 @@ def test_powers_of_the_force_are_scaled_to_those_of_a_finer_mesh() -> None:
     coarse = bench.shell(3)
     uv = bench.surface.domain.mean(axis=1)[None]
     radius = bench.design.training.patch_radius_max_mm
-    meshes = bench.shell(6), bench.shell(4)
+    meshes = mesh_pair(bench.shell, (6, 4))
+    assert meshes is not None
     pair = ExtrapolatedResponse(bench.design, bench.surface, bench.markers, meshes)
     first = bench.see.powers(pair.motions(uv, radius)[0], NONE)[0]
     force = 0.5 * bench.design.training.force_max_N
@@ -606,7 +607,7 @@ def test_tables_of_several_powers_are_scaled_with_their_pairs() -> None:
     coarse = bench.shell(3)
     plain, done = (
         bench.tables(coarse, spacing_mm=4.0, orders=3, pair=pair)
-        for pair in (None, (bench.shell(6), bench.shell(4)))
+        for pair in (None, mesh_pair(bench.shell, (6, 4)))
     )
     ratios, close, before = [], [], []
     for own, scaled in zip(plain.places.shift_px, done.places.shift_px, strict=True):
@@ -623,16 +624,37 @@ def test_tables_of_several_powers_are_scaled_with_their_pairs() -> None:
     grown = done.places.pairs.axes_px / plain.places.pairs.axes_px
     assert np.ptp(grown) < 1e-5
     assert grown.mean() == pytest.approx(np.median(ratios) ** 2, rel=0.03)
-    assert done.places.shear is not None
-    assert plain.places.shear is not None
-    np.testing.assert_array_equal(done.places.shear.shift_px, plain.places.shear.shift_px)
+
+
+def test_force_along_the_surface_is_extrapolated() -> None:
+    """Against a mesh of twelve elements a pitch."""
+    bench = short_bench()
+    coarse = bench.shell(3)
+    plain, done = (
+        bench.tables(coarse, spacing_mm=6.0, orders=1, pair=pair).places.shear
+        for pair in (None, mesh_pair(bench.shell, (6, 4)))
+    )
+    assert plain is not None
+    assert done is not None
+    some = slice(None, None, len(done.point_mm) // 4)
+    fine = bench.discs(*bench.shell(12))
+    motions = fine.sheared(bench.surface.chart(done.point_mm[some]), done.radius_mm)
+    for axis in (0, 1):
+        rows = [bench.see.powers([both[axis]], NONE)[0] for both in motions]
+        before, after = (
+            np.array(
+                [off(own[axis], row) for own, row in zip(each.shift_px[some], rows, strict=True)]
+            )
+            for each in (plain, done)
+        )
+        assert after.mean() < 0.5 * before.mean()
 
 
 def test_corrections_of_linear_motion_are_interpolated_between_close_places(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bench = short_bench()
-    coarse, pair = bench.shell(3), (bench.shell(6), bench.shell(4))
+    coarse, pair = bench.shell(3), mesh_pair(bench.shell, (6, 4))
     plain = bench.tables(coarse, spacing_mm=2.2, orders=1)
     solved, close = (
         _tables_with(monkeypatch, spacing_max, bench, coarse, pair) for spacing_max in (0.0, 1.0)
@@ -656,7 +678,10 @@ def test_tables_of_all_but_the_coarsest_meshes_are_extrapolated() -> None:
     assert extrapolated_from(4, EXTRAPOLATED_MARKERS_MAX + 1) is None
     own = BENCH.shell(4)
     shells = {4: own, 6: BENCH.shell(6)}
-    assert mesh_pair(shells.__getitem__, (6, 4)) == (shells[6], own)
+    pair = mesh_pair(shells.__getitem__, (6, 4))
+    assert pair is not None
+    assert pair.each == [shells[6], own]
+    assert pair.ratio == len(shells[6][0].quads) / len(own[0].quads)
     assert mesh_pair(shells.__getitem__, None) is None
     # Meshes that are too alike.
     assert mesh_pair(lambda _: own, (6, 4)) is None

@@ -1,6 +1,7 @@
 """The wall of one virtual sensor under the touches of a sample, whatever they are."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,12 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
+from phytac_design.simulation import instance_shell as shell_module
 from phytac_design.simulation import solver as solver_module
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.instance_shell import (
     instance_model,
-    instance_shell,
+    instance_shells,
     local_mesh,
     truth_levels,
     truth_mesh,
@@ -73,9 +75,9 @@ def got(motion: SampleMotion) -> np.ndarray:
     return motion.motion
 
 
-@pytest.fixture(scope="module")
-def large() -> Solver:
-    return Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=REFINE, displacement="large")
+@pytest.fixture(scope="module", params=[REFINE, 6], ids=["one mesh", "two meshes"])
+def large(request: pytest.FixtureRequest) -> Solver:
+    return Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=request.param, displacement="large")
 
 
 @pytest.mark.parametrize("name", ["small", "hemisphere"])
@@ -83,7 +85,8 @@ def test_instance_zero_is_the_design(name: str) -> None:
     design = DESIGN if name == "small" else load_design(name)
     surface = design.surface()
     mesh, model = truth_shell(design, surface, 2)
-    mine, own = instance_shell(design, surface, unit_of(design), 2)
+    (mine, own), pair = instance_shells(design, surface, unit_of(design), 2)
+    assert pair is None
     np.testing.assert_array_equal(mine.nodes_mm, mesh.nodes_mm)
     np.testing.assert_array_equal(mine.quads, mesh.quads)
     np.testing.assert_array_equal(own.stiffness.data, model.stiffness.data)
@@ -128,7 +131,9 @@ def test_rest_linear_large_and_auto(large: Solver) -> None:
         assert (still.status, still.theory, still.error_estimate) == ("ok", "rest", 0.0)
         assert got(still).shape == (large.count, 6)
         assert not got(still).any()
-    whole: dict[str, Any] = {"refine": REFINE, "local": False}
+    quads = {len(truth_mesh(DESIGN, SURFACE, n).quads): n for n in (REFINE, 6)}
+    refine = quads[len(large.mesh.quads)]
+    whole: dict[str, Any] = {"refine": refine, "local": False}
     unit = unit_of(DESIGN)
     linear = Solver(DESIGN, SURFACE, unit, displacement="linear", **whole)
     a, b = (*MIDDLE, 4.0, 20.0), (15.0, 0.3, 5.0, 9.0)
@@ -189,7 +194,10 @@ def force_seen(found: SampleMotion, truth: np.ndarray) -> float:
     ("number", "displacement", "at_most"), [(0, "linear", 0.35), (3, "large", 0.6)]
 )
 def test_motion_is_that_of_a_much_finer_mesh(
-    number: int, displacement: Displacement, at_most: float
+    number: int,
+    displacement: Displacement,
+    at_most: float,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """By force, and for the tip that is worst, over the error of the mesh alone."""
     unit = unit_of(DESIGN, number)
@@ -217,12 +225,16 @@ def test_motion_is_that_of_a_much_finer_mesh(
         for each in (plain, mine)
     ]
     assert worst[1] < at_most * worst[0]
+    # With a correction alone, and no more force, large displacements stay as stiff as the mesh.
+    monkeypatch.setattr(solver_module, "force_ratio", lambda *_: 1.0)
+    added = abs(force_seen(solved(mine, *rows), truth) - 1.0)
+    assert displacement == "linear" or off[1] < 0.9 * added
 
 
 def test_a_little_force_moves_the_wall_by_the_extrapolated_linear_motion() -> None:
     unit = unit_of(DESIGN)
     large, linear = (
-        Solver(DESIGN, SURFACE, unit, refine=5, displacement=theory)
+        Solver(DESIGN, SURFACE, unit, refine=6, displacement=theory)
         for theory in ("large", "linear")
     )
     touch = touching((*MIDDLE, 4.0, 1e-4))
@@ -239,10 +251,11 @@ def test_a_correction_is_scaled_down_where_the_wall_stiffens() -> None:
 
 @pytest.mark.parametrize("displacement", ["linear", "large"])
 def test_too_coarse_a_mesh_is_not_extrapolated(displacement: Displacement) -> None:
-    assert [truth_levels(n) for n in (1, 4, 5, 9, 13)] == [None, None, (5, 3), (9, 5), (13, 7)]
+    assert [truth_levels(n) for n in (1, 4, 5)] == [None] * 3
+    assert [truth_levels(n) for n in (6, 7, 9, 13)] == [(6, 4), (7, 4), (9, 5), (13, 7)]
     unit = unit_of(DESIGN)
     a, b = (
-        Solver(DESIGN, SURFACE, unit, refine=4, displacement=displacement, extrapolate=extrapolate)
+        Solver(DESIGN, SURFACE, unit, refine=5, displacement=displacement, extrapolate=extrapolate)
         for extrapolate in (False, True)
     )
     row = (*MIDDLE, 4.0, 20.0)
@@ -326,6 +339,72 @@ def test_only_the_touched_part_is_fine(where: str, finest: Solver) -> None:
     local, fine = (np.linalg.norm(found - truth, axis=1).max() / peak for found in (a, b))
     assert local < 1.5 * fine + 0.005
     assert fine < 0.1
+
+
+@pytest.mark.parametrize("refine", [6, 9])
+@pytest.mark.parametrize("where", TOUCHED)
+def test_the_touched_part_is_extrapolated(where: str, refine: int, finest: Solver) -> None:
+    touches, unit = TOUCHED[where], unit_of(DESIGN)
+    region = contact_box(SURFACE, touches.uv, touches.radius_mm)
+    linear = partial(
+        Solver, DESIGN, SURFACE, unit, refine=refine, displacement="linear", region=region
+    )
+    nearer = got(finest.solve(touches, touches.force_N))[:, :3]
+    coarse = Solver(DESIGN, SURFACE, unit, refine=6, displacement="linear", extrapolate=False)
+    other = got(coarse.solve(touches, touches.force_N))[:, :3]
+    truth = nearer + (nearer - other) / ((11.0 / 6.0) ** 2 - 1.0)
+    plain, mine = (
+        abs(force_seen(linear(extrapolate=each).solve(touches, touches.force_N), truth) - 1.0)
+        for each in (False, True)
+    )
+    assert mine < (0.85 if (where, refine) == ("rim", 6) else 0.6) * plain
+    _, pair = instance_shells(DESIGN, SURFACE, unit, refine, region)
+    _, whole = instance_shells(DESIGN, SURFACE, unit, refine)
+    assert pair is not None
+    assert whole is not None
+    assert pair.ratio == whole.ratio
+    # Both are fine in that part alone.
+    for part, full in zip(pair.each, whole.each, strict=True):
+        assert len(part[0].quads) < 0.85 * len(full[0].quads)
+
+
+def test_both_meshes_are_local_or_neither() -> None:
+    low, high = SURFACE.domain.T
+    middle, half = (low + high) / 2.0, (high - low) / 2.0
+    seen = set()
+    for share in (0.2, 0.35, 0.5, 0.65, 0.8):
+        region = ChartBox(
+            low=middle - share * half, high=middle + share * half, whole=np.zeros(2, bool)
+        )
+        _, pair = instance_shells(DESIGN, SURFACE, unit_of(DESIGN), 9, region)
+        assert pair is not None
+        fine, coarse = (
+            len(mesh.quads) < len(truth_mesh(DESIGN, SURFACE, n).quads)
+            for (mesh, _), n in zip(pair.each, (9, 5), strict=True)
+        )
+        assert fine == coarse
+        seen.add(fine)
+    assert seen == {False, True}
+
+
+def test_a_coarser_mesh_that_is_refused_is_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, row = shell_module.truth_mesh, (*MIDDLE, 4.0, 20.0)
+    plain = solved(Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=6, extrapolate=False), row)
+
+    def refused(missing: int) -> Any:
+        def make(design: Any, surface: Any, refine: int, markers: Any = None) -> ShellMesh:
+            if refine == missing:
+                raise NumericalError("mesh-distorted", "its elements are too irregular")
+            return made(design, surface, refine, markers)
+
+        return make
+
+    monkeypatch.setattr(shell_module, "truth_mesh", refused(4))
+    found = solved(Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=6), row)
+    np.testing.assert_array_equal(got(found), got(plain))
+    monkeypatch.setattr(shell_module, "truth_mesh", refused(6))
+    with pytest.raises(NumericalError):
+        Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=6)
 
 
 def test_where_a_local_mesh_is_none() -> None:

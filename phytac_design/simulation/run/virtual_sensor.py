@@ -1,14 +1,14 @@
 """A virtual print that answers contacts within milliseconds, for simulators that step in real time.
 
-Its wall is tabulated on the simulation's own mesh, with the thickness, modulus and markers of the
-print: finer than the decoder's mesh and not nested in it. Between places the tables are
+Its wall is tabulated on the simulation's own meshes, with the thickness, modulus and markers of
+the print: they are not those of the decoder, nor nested in them. Between places the tables are
 interpolated by the same formula as the decoder's, see
 :mod:`phytac_decoder.mechanics.response_table`. ``phytac simulate`` solves every press instead.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,9 +24,8 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.indenter import SPHERE, Indentations
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.imaging.imaging_model import CentroidErrors, ImagingModel
-from phytac_design.simulation.instance_shell import instance_shell, truth_levels
+from phytac_design.simulation.instance_shell import instance_shells
 from phytac_design.simulation.linear_response import rigid_slope
-from phytac_design.simulation.mesh_pair import mesh_pair
 from phytac_design.simulation.pressed_series import ImageResponse
 from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
 from phytac_design.simulation.run.switch_loads import SwitchLoads
@@ -88,7 +87,7 @@ class VirtualSensor:
         design, surface : Design, Surface
             The sensor as designed.
         accuracy : Accuracy
-            Its ``truth_refine`` is that of the mesh.
+            Its ``truth_refine`` is that of the finer mesh.
 
         Raises
         ------
@@ -98,9 +97,7 @@ class VirtualSensor:
             If its shell cannot be solved.
         """
         unit, training = imaging.unit, design.training
-        shell, refine = partial(instance_shell, design, surface, unit), accuracy.truth_refine
-        pair = mesh_pair(shell, truth_levels(refine))
-        mesh, model = pair[0] if pair else shell(refine)
+        (mesh, model), pair = instance_shells(design, surface, unit, accuracy.truth_refine)
         radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
         done = tabulate_responses(
             Sensor.of(design, surface, unit.markers),

@@ -1,10 +1,10 @@
 """The force error of a setting on the standard contacts.
 
 The reference is the shell under large displacement, without noise, extrapolated from two meshes
-that are not nested in any setting's. It moves the markers' images by d. A setting expects, for a
-contact at a known place, the shifts f·S₁ + f²·S₂ + f³·S₃ of its own mesh and theory
-(:mod:`response_tables`). Its force f is the least-squares fit to d, and its error the
-root mean square of f/f_true − 1.
+that are not those of a simulated sensor, nor aligned with markers as the decoder's are. It moves
+the markers' images by d. A setting expects, for a contact at a known place, the shifts
+f·S₁ + f²·S₂ + f³·S₃ of its own mesh and theory (:mod:`response_tables`). Its force f is the
+least-squares fit to d, and its error the root mean square of f/f_true − 1.
 
 Included: the mesh, receptors, the theory, and the interpolation between tabulated places. Not
 included: noise, the estimation of place, size and number of contacts, print scatter, networks.
@@ -29,7 +29,7 @@ from phytac_design.mechanics.shell.pressure import Holes, indentation_loads, tan
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
-from phytac_design.simulation.instance_shell import truth_levels, truth_shell
+from phytac_design.simulation.instance_shell import instance_shells, truth_shell
 from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.mesh_pair import MeshPair, mesh_pair
 from phytac_design.simulation.pressed_series import (
@@ -40,6 +40,7 @@ from phytac_design.simulation.pressed_series import (
 )
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm
+from phytac_design.simulation.sensor_instance import designed_shell
 from phytac_design.simulation.turned_places import rings
 from phytac_design.stages.places_stage import extrapolated_from
 from phytac_shapes import Surface
@@ -76,9 +77,10 @@ class ForceError:
 
     pilot_refine = 4
     """Elements per marker pitch of the mesh that theory and interpolation are evaluated on."""
-    reference_refines = 6, 11
-    """Elements per marker pitch of the two meshes that the reference is extrapolated from; their
-    errors fall with the square of that number (meshes of 9 and 13 agree within 0.1 %)."""
+    reference_refines = 8, 12
+    """Elements per marker pitch of the two meshes that the reference is extrapolated from; no
+    simulated sensor is extrapolated from these two. Extrapolated from 9 and 13 it is the same
+    within 0.1 %."""
 
     def __init__(self, design: Design, *, count: int = 16) -> None:
         self.design, self.count = design, count
@@ -249,7 +251,8 @@ class ForceError:
 
     def truth_error(self, refine: int) -> float:
         """Relative force error of the simulated sensor's own meshes, linear theory."""
-        pair = mesh_pair(self.truth_shell, truth_levels(refine))
+        unit = designed_shell(self.sensor.surface, self.sensor.markers)
+        _, pair = instance_shells(self.design, self.sensor.surface, unit, refine)
         rows = self._extrapolated_rows(pair) if pair else self.linear_truth(refine)
         return rms(fit_forces(rows[:, None], self.linear_reference) - 1.0)
 
