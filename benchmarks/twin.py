@@ -6,7 +6,7 @@ The parts ``shell_…`` hold it against contacts solved by CalculiX on solids of
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -15,7 +15,7 @@ from benchmarks import twin_camera, twin_engine, twin_theory
 from benchmarks.harness import Table, run_parts
 from benchmarks.referee.contacts import COUNTS
 from benchmarks.referee.read import Solved, data_file, read_solved
-from benchmarks.referee.solve import sensor
+from benchmarks.referee.solve import sensor, sizes_for, solve_contact
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import Contacts
@@ -158,11 +158,55 @@ def shell_rows(table: Table, name: str, *, quick: bool) -> None:
     table.add(row, len(solved), "contacts", sum(COUNTS[name]), source, target, note)
 
 
+OWN_ERROR = {"cylinder60": (2, 27, 24), "grip": (19, 3)}
+"""Contacts that the referee solves on other meshes too: beside a receptor, on one, near a rim."""
+COARSER, FINER = 1.33, 0.75
+"""Sizes of elements of those meshes over the referee's own."""
+
+
+def referee_rows(table: Table, *, quick: bool) -> None:
+    """Error of the referee because of its own mesh, from a coarser and a finer one."""
+    for name, indices in OWN_ERROR.items():
+        this = sensor(name)
+        frozen = {one.index: one for one in read_solved(data_file(name), this.design, this.markers)}
+        for index in indices[: 1 if quick else None]:
+            item = frozen[index]
+            sizes = sizes_for(this.design, item.contact)
+            sizes = replace(sizes, reach_mm=item.facts.get("reach", 1.0) * sizes.reach_mm)
+            head = f"{name}, contact {index} ({item.contact.kind}), referee"
+            off = []
+            for size in (COARSER, FINER):
+                found = solve_contact(name, index, item.contact, sizes.scaled(size))
+                off.append(bias(found.motion_mm, item))
+                row = f"{head}: motion on elements of {size:g} times the size over its own, less 1"
+                table.add(row, off[-1], "%", 0.0, f"CalculiX, {found.facts['nodes']} nodes")
+            error, rate = own_error(*off)
+            row = f"{head}: its motion is too small by"
+            table.add(row, error, "%", 0.0, f"extrapolated, measured rate {rate:.1f}")
+
+
+def own_error(coarser: float, finer: float) -> tuple[float, float]:
+    """What the limit differs by from the middle one of three meshes, and the measured rate.
+
+    Parameters
+    ----------
+    coarser, finer : float
+        Results on elements of ``COARSER`` and ``FINER`` times the size, less the middle one's.
+    """
+    low, high = 0.5, 6.0
+    for _ in range(50):
+        rate = (low + high) / 2.0
+        grown = (COARSER**rate - 1.0) / (1.0 - FINER**rate)
+        low, high = (rate, high) if grown < -coarser / finer else (low, rate)
+    return finer / (1.0 - FINER**rate), rate
+
+
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """Parts of this benchmark."""
     out: dict[str, Callable[[Table], None]] = {}
     for name in COUNTS:
         out[f"shell_{name}"] = partial(shell_rows, name=name, quick=quick)
+    out["referee"] = partial(referee_rows, quick=quick)
     out |= {
         name: partial(rows, quick=quick)
         for name, rows in (

@@ -192,6 +192,12 @@ def test_gap_and_scale_are_of_the_peak(grip: Sensor) -> None:
     assert twin.gap(one, item, np.array([3, 4])) == 0.0
 
 
+def test_the_referees_own_error_is_extrapolated_with_the_rate_that_is_measured() -> None:
+    for rate in (1.0, 2.0, 3.5):
+        off = [0.6 * (1.0 - size**rate) for size in (twin.COARSER, twin.FINER)]
+        assert twin.own_error(*off) == pytest.approx((0.6, rate), rel=1e-6)
+
+
 def test_shell_presses_as_hard_as_the_solid(grip: Sensor) -> None:
     solved = [replace(made_up(grip), contact=c) for c in load_contacts("grip")[:3]]
     solver = Solver(grip.design, grip.surface, designed_shell(grip.surface, grip.markers), refine=3)
