@@ -39,7 +39,7 @@ def random_setting(number: int) -> Accuracy:
         PRESETS["draft"],
         cad_tolerance_mm=one(0.05, 0.02, 0.01),
         refine=int(one(2, 3, 4, 5)),
-        truth_refine=int(one(6, 7, 9)),
+        truth_refine=int(one(5, 7, 9)),
         sample_share=one(0.3, 1.0),
         frames=int(one(5, 15, 30)),
         place_share=one(0.8, 0.55),

@@ -28,7 +28,8 @@ class Accuracy:
     receptors : bool
         Whether the decoder's shell has the stiffness of receptor tubes and their holes.
     truth_refine : int
-        The same for the finer of the simulated sensor's meshes, which are not those of the decoder.
+        The same for the finer of the simulated sensor's meshes, which are not those of the
+        decoder. From 6 on its motion is extrapolated from two.
     sample_share : float
         Fraction of the design's training and test samples that is simulated; see ``frames``.
     frames : int
@@ -76,7 +77,7 @@ PRESETS: dict[str, Accuracy] = {
         cad_tolerance_mm=0.05,
         refine=3,
         receptors=True,
-        truth_refine=6,
+        truth_refine=5,
         sample_share=0.3,
         frames=5,
         place_share=0.8,

@@ -187,7 +187,7 @@ def audit(
     }
     if errors and plan.error and "decoder" in context.folders:
         bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
-        # Meshes of a draft's simulated sensor are coarser: up to 3 % off beside rims.
+        # The simulated sensor of a draft is of one mesh: up to 3 % off, and more beside rims.
         finer = max(context.accuracy.truth_refine, PRESETS["standard"].truth_refine)
         own = replace(context, accuracy=replace(context.accuracy, truth_refine=finer))
         presses = reference_presses(own, progress=progress)

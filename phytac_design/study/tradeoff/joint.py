@@ -65,7 +65,7 @@ class JointGrid:
     )
     load_refine: tuple[int, ...] = (2, 2, 4, 4)
     score: tuple[Settings, ...] = (
-        {"truth_refine": 6, "sample_share": 0.3, "frames": 5},
+        {"truth_refine": 5, "sample_share": 0.3, "frames": 5},
         {"truth_refine": 7, "sample_share": 1.0, "frames": 20},
         {"truth_refine": 9, "sample_share": 1.0, "frames": 50},
         {"truth_refine": 13, "sample_share": 1.0, "frames": 100},

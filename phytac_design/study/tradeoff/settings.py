@@ -55,7 +55,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("receptors", (0, 1), "force", "receptors' stiffness and holes"),
     Setting("place_share", (1.2, 0.8, 0.55, 0.4), "force", "spacing of the decoder's tables"),
     Setting("place_orders", (1, 2, 3, 4, 5), "force", "linear theory, a series, or solved"),
-    Setting("truth_refine", (6, 7, 9, 13), "score", "meshes of the simulated sensor"),
+    Setting("truth_refine", (5, 7, 9, 13), "score", "meshes of the simulated sensor"),
     Setting("sample_share", (0.1, 0.3, 1.0), "score", "simulated training and test samples"),
     Setting("frames", (5, 20, 50, 100), "score", "rendered frames that are decoded"),
     Setting("press_places", (8, 20, 40, 120), "visibility", "places pressed under the camera"),
