@@ -12,11 +12,12 @@ from phytac_design.simulation.linear_response import motion_responses
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.renders_stage import (
     draw_frame_contacts,
+    press_frames,
     rendered,
     rendered_example,
     write_frame,
 )
-from phytac_design.stages.response_stage import truth_responses
+from phytac_design.stages.response_stage import truth_responses, truth_solver
 from tests.designs import COARSE, tiny
 
 
@@ -59,6 +60,19 @@ def test_data_are_extrapolated_from_two_meshes() -> None:
     # Too coarse to be extrapolated from.
     assert of(4)[0] == few
     np.testing.assert_array_equal(of(4)[1], coarse)
+
+
+def test_the_example_is_pressed_by_large_displacements() -> None:
+    accuracy = replace(COARSE, frames=3, place_orders=2)
+    context, _, _ = run_stages(
+        tiny(), select_stages(["twin"]), accuracy=accuracy, seed=5, progress=lambda _: None
+    )
+    pressed = press_frames(context, context.arrays("twin")["frames.motion"])
+    example = pressed.contacts.of(pressed.switching.example)
+    found = truth_solver(context).solve(example, example.force_N)
+    assert found.theory == "large"
+    assert pressed.shown is not None
+    np.testing.assert_array_equal(pressed.shown, found.motion)
 
 
 def test_an_example_without_a_frame_of_its_own_is_its_sample(tmp_path: Path) -> None:

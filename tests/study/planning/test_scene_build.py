@@ -15,6 +15,7 @@ from phytac_design.simulation.dataset import Dataset
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import BuildResult, run_stages, select_stages
 from phytac_design.stages.decoder_stage import tips_in_play
+from phytac_design.stages.response_stage import image_response_of, truth_solver
 from phytac_design.study.planning import run_plan as run_plan_module
 from phytac_design.study.planning.plan import BuildPlan, plan_scene
 from phytac_design.study.planning.run_plan import (
@@ -117,6 +118,19 @@ def test_forces_in_the_region_are_the_whole_decoders(
         assert valid.sum() >= 3
         assert np.abs(mine - full)[valid].max() < 0.01
         assert np.abs(mine[valid]).max() < 0.5
+
+
+def test_the_audit_presses_each_place_with_its_own_force(
+    whole: Context, planned: BuildPlan
+) -> None:
+    context = context_on(planned, whole)
+    presses, solver = reference_presses(context, 3), truth_solver(context)
+    see, contacts = image_response_of(context), presses.contacts
+    assert np.ptp(contacts.force_N) > 1.0
+    for k, shift in enumerate(presses.shift_px):
+        motion = solver.solve(contacts.of(k), contacts.force_N[k : k + 1]).motion
+        assert motion is not None
+        np.testing.assert_allclose(shift, see.shift(motion), atol=1e-9)
 
 
 def test_forces_outside_raise_a_warning(bundle: Bundle, whole: Context, planned: BuildPlan) -> None:

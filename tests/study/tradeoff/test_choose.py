@@ -12,6 +12,7 @@ from phytac_design.engine.stage import Stage
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.compliance import turns_of
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+from phytac_design.simulation.instance_shell import truth_mesh
 from phytac_design.stages import STAGES
 from phytac_design.study.planning.cost import Workload, features, fit
 from phytac_design.study.planning.unit_costs import WALL_s
@@ -46,6 +47,14 @@ def error() -> ForceError:
 
 
 @pytest.mark.long
+def test_work_on_the_simulated_sensor_is_that_of_its_meshes() -> None:
+    design, surface = small(), small().surface()
+    work = Workload(design)
+    each = {n: len(truth_mesh(design, surface, n).nodes_mm) for n in (4, 5, 6)}
+    assert work.truth_nodes(5) == each[5]
+    assert work.truth_nodes(6) == each[6] + each[4]
+
+
 def test_tighter_tolerances_cost_more_and_hold(error: ForceError) -> None:
     choices = [
         choose_tolerance(error.design, tolerance, error=error) for tolerance in (0.2, 0.08, 0.04)
