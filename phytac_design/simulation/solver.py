@@ -257,7 +257,9 @@ class Solver:
         coarser = self._walls[1]
         other = coarser.kinematics.linear(coarser.shell.linear(loads[1]))
         limit = own + self._pair.change_to_limit(own, other)
-        ratio = min(force_ratio(limit[:, :3], own[:, :3]), RATIO_MAX)
+        ratio = force_ratio(limit[:, :3], own[:, :3])
+        # Beside a clamped rim hardly anything moves, and meshes may differ by more.
+        ratio = min(max(ratio, 1.0 / RATIO_MAX), RATIO_MAX)
         return _LinearLimit(motion=limit, own=own, ratio=ratio)
 
     def _too_deep(self, dent: float) -> str:

@@ -26,6 +26,7 @@ from phytac_design.simulation.instance_shell import (
     truth_shell,
 )
 from phytac_design.simulation.linear_response import point_motions, turned_points
+from phytac_design.simulation.pressed_series import RATIO_MAX
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.sample_plan import ChartBox
 from phytac_design.simulation.scenario.contact_placement import contact_box
@@ -240,6 +241,17 @@ def test_a_little_force_moves_the_wall_by_the_extrapolated_linear_motion() -> No
     touch = touching((*MIDDLE, 4.0, 1e-4))
     a, b = (got(each.solve(touch, touch.force_N)) for each in (large, linear))
     np.testing.assert_allclose(a, b, atol=1e-3 * np.abs(b).max())
+
+
+@pytest.mark.parametrize(("found", "used"), [(-3.0, 1.0 / RATIO_MAX), (9.0, RATIO_MAX)])
+def test_meshes_that_differ_much_do_not_change_the_force_by_more_than_half(
+    found: float, used: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solver = Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=6, displacement="large")
+    monkeypatch.setattr(solver_module, "force_ratio", lambda *_: used)
+    expected = got(solved(solver, (*MIDDLE, 4.0, 5.0)))
+    monkeypatch.setattr(solver_module, "force_ratio", lambda *_: found)
+    np.testing.assert_array_equal(got(solved(solver, (*MIDDLE, 4.0, 5.0))), expected)
 
 
 def test_a_correction_is_scaled_down_where_the_wall_stiffens() -> None:
