@@ -30,8 +30,8 @@ QUICK = 4
 LIMIT = 2.0
 RIM_MM = 5.0
 RIM = (
-    "the worst tip stands beside a clamped rim: a solid is stiffer there than a shell, and a tall "
-    "tube multiplies the turn"
+    "the worst tip stands beside a clamped rim: solids of this size hardly converge there, and a "
+    "tall tube multiplies the turn"
 )
 GROUPS: tuple[tuple[str, Callable[[Solved], bool]], ...] = (
     ("all", lambda _: True),

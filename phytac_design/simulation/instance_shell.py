@@ -12,7 +12,7 @@ from phytac_design.mechanics.shell.receptor_stiffness import (
     unknown_receptors,
 )
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
-from phytac_design.simulation.mesh_pair import MeshPair
+from phytac_design.simulation.mesh_pair import MeshPair, paired
 from phytac_design.simulation.sample_plan import ChartBox
 from phytac_design.simulation.sensor_instance import PrintedShell, designed_shell, thickness_factor
 from phytac_shapes import Surface
@@ -102,7 +102,8 @@ def instance_shells(
     (ShellMesh, ShellModel)
         The finer of the pair's.
     MeshPair or None
-        None where the coarser mesh would be too coarse (:func:`truth_levels`) or too irregular.
+        None where the coarser mesh would be too coarse (:func:`truth_levels`), too irregular, or
+        too much like the finer one.
     """
     markers = markers or make_markers(design, surface)
     whole = truth_mesh(design, surface, refine, markers)
@@ -119,8 +120,7 @@ def instance_shells(
     except (DesignError, NumericalError):
         return finer, None
     # Local meshes have the element sizes of the whole ones in the touched part.
-    ratio = len(whole.quads) / len(coarse_whole.quads)
-    return finer, MeshPair(finer=finer, coarser=coarser, ratio=ratio)
+    return finer, paired(finer, coarser, len(whole.quads) / len(coarse_whole.quads))
 
 
 def instance_model(
@@ -158,6 +158,7 @@ def local_mesh(design: Design, surface: Surface, whole: ShellMesh, region: Chart
 
 
 def _thinned(design: Design, surface: Surface, whole: ShellMesh, region: ChartBox) -> ShellMesh:
+    """Mesh with fewer lines away from a region."""
     size = np.sort(np.ptp(surface.bounds_mm(), axis=0))[1] / 2.0
     margin = MARGIN * float(np.sqrt(size * design.wall.thickness_mm))
     lines = []

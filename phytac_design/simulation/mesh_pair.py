@@ -38,9 +38,18 @@ class MeshPair:
         """Both, the finer first."""
         return [self.finer, self.coarser]
 
-    def change_to_limit(self, fine: FloatArray, coarse: FloatArray) -> FloatArray:
+    def correction(self, fine: FloatArray, coarse: FloatArray) -> FloatArray:
         """What to add to linear motion on the finer mesh; both motions are of the same points."""
         return (fine - coarse) / (self.ratio - 1.0)
+
+
+def paired(
+    finer: tuple[ShellMesh, ShellModel], coarser: tuple[ShellMesh, ShellModel], ratio: float
+) -> MeshPair | None:
+    """Return the pair of two meshes; None where they are too alike (``ELEMENTS_RATIO_MIN``)."""
+    if ratio < ELEMENTS_RATIO_MIN:
+        return None
+    return MeshPair(finer=finer, coarser=coarser, ratio=ratio)
 
 
 def mesh_pair(
@@ -61,7 +70,4 @@ def mesh_pair(
         finer, coarser = (shell(level) for level in levels)
     except (DesignError, NumericalError):  # it holds no markers, or is too irregular
         return None
-    ratio = len(finer[1].quads) / len(coarser[1].quads)
-    if ratio < ELEMENTS_RATIO_MIN:
-        return None
-    return MeshPair(finer=finer, coarser=coarser, ratio=ratio)
+    return paired(finer, coarser, len(finer[1].quads) / len(coarser[1].quads))

@@ -272,7 +272,7 @@ class ExtrapolatedResponse:
         """Return for each place (c, 2) the motions (n, 6), see ``DiscResponse``."""
         fine, coarse = (each.sheared(uv, radius_mm) for each in self.each)
         return [
-            [one + self.pair.change_to_limit(one, other) for one, other in zip(*both, strict=True)]
+            [one + self.pair.correction(one, other) for one, other in zip(*both, strict=True)]
             for both in zip(fine, coarse, strict=True)
         ]
 
@@ -281,7 +281,7 @@ class ExtrapolatedResponse:
     ) -> list[FloatArray]:
         out = []
         for (one, *_), (other, *_) in zip(fine, coarse, strict=True):
-            change = self.pair.change_to_limit(one, other)
+            change = self.pair.correction(one, other)
             out.append(one + change)
             size = float(np.linalg.norm(out[-1][:, :3]))
             change_size = float(np.linalg.norm(change[:, :3]))

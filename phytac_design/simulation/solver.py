@@ -17,7 +17,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.discretisation import force_ratio
+from phytac_design.mechanics.shell.discretisation import correction_share, force_ratio
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
@@ -89,34 +89,25 @@ class _Wall:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _LinearLimit:
+class _LinearMotion:
     """Linear motion of the receptors under one sample.
 
     Attributes
     ----------
-    motion, own : (n, 6) float
-        Extrapolated, and on the finest mesh.
+    extrapolated, own : (n, 6) float
+        Extrapolated from both meshes, and on the finer one.
     ratio : float
-        Force on that mesh over the sample's, under which it moves most nearly by ``motion``.
+        Force on that mesh over the sample's, under which it moves most nearly by ``extrapolated``.
     """
 
-    motion: FloatArray
+    extrapolated: FloatArray
     own: FloatArray
     ratio: float
 
     def corrected(self, large: FloatArray) -> FloatArray:
-        """Large displacements (n, 6) of the finest mesh under the scaled force, corrected.
-
-        The correction is scaled down where the wall moves less than linear theory predicts.
-        """
-        size = _largest(self.motion)
-        damping = min(1.0, _largest(large) / size) if size > 0.0 else 0.0
-        return large + damping * (self.motion - self.ratio * self.own)
-
-
-def _largest(motion: FloatArray) -> float:
-    """Largest translation, mm."""
-    return float(np.linalg.norm(motion[:, :3], axis=1).max())
+        """Large displacements (n, 6) of the finer mesh under the scaled force, corrected."""
+        share = correction_share(large[:, :3], self.extrapolated[:, :3])
+        return large + share * (self.extrapolated - self.ratio * self.own)
 
 
 class Solver:
@@ -169,16 +160,16 @@ class Solver:
         extrapolate: bool = True,
         markers: Markers | None = None,
     ) -> None:
-        finer, pair = instance_shells(
+        mesh, pair = instance_shells(
             design, surface, unit, refine, region, local=local, markers=markers
         )
         self.surface = surface
         self.displacement, self.tolerance = displacement, tolerance
         self._pair = pair if extrapolate else None
-        meshes = self._pair.each if self._pair else [finer]
+        meshes = self._pair.each if self._pair else [mesh]
         self._walls = [_Wall(design, surface, unit, *one) for one in meshes]
-        finest = self._walls[0]
-        self.mesh, self.model, self.kinematics = finest.mesh, finest.model, finest.kinematics
+        wall = self._walls[0]
+        self.mesh, self.model, self.kinematics = wall.mesh, wall.model, wall.kinematics
         self.nodes = len(self.mesh.nodes_mm)
         self.count = unit.markers.count
         self.deepest_mm = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1]) / 2.0
@@ -207,27 +198,27 @@ class Solver:
             loads = [wall.load(touches, felt_N) for wall in self._walls]
             linear = shell.linear(loads[0])
             dent = self._refuse_deep(linear)
-            limit = self._linear_limit(loads, linear)
+            first = self._linear_motion(loads, linear)
         except (PhytacError, ArithmeticError, MemoryError, ValueError) as error:
             return _failed(str(error) or type(error).__name__, theory)
         if self.displacement == "linear":
             reason = self._too_deep(dent)
             return SampleMotion(
-                motion=limit.motion,
+                motion=first.extrapolated,
                 status="flagged" if reason else "ok",
                 reason=reason,
                 theory="linear",
                 error_estimate=float("nan"),
             )
         tolerance = self.tolerance if self.displacement == "auto" else None
-        ratio = limit.ratio
+        ratio = first.ratio
         found = shell.solve(ratio * loads[0], tolerance=tolerance, linear=ratio * linear)
         if found.motion is None or not np.all(np.isfinite(found.motion)):
             return _failed(found.reason or "the motion is not finite", theory, found.guarded)
         theory = "large" if found.large else "linear"
-        motion = limit.motion
+        motion = first.extrapolated
         if found.large:
-            motion = limit.corrected(self.kinematics.large(found.motion))
+            motion = first.corrected(self.kinematics.large(found.motion))
         return SampleMotion(
             motion=motion,
             status=found.status,
@@ -241,7 +232,7 @@ class Solver:
         """Nodal load (6N,) of one sample; nothing presses on the receptors' holes."""
         return self._walls[0].load(touches, felt_N)
 
-    def _linear_limit(self, loads: list[FloatArray], linear: FloatArray) -> _LinearLimit:
+    def _linear_motion(self, loads: list[FloatArray], linear: FloatArray) -> _LinearMotion:
         """Linear motion of the receptors, extrapolated from the meshes.
 
         Parameters
@@ -249,18 +240,18 @@ class Solver:
         loads : list of (6N,) float
             Of the sample, on each mesh.
         linear : (6N,) float
-            Linear motion of the finest mesh.
+            Linear motion of the finer mesh.
         """
         own = self.kinematics.linear(linear)
         if self._pair is None:
-            return _LinearLimit(motion=own, own=own, ratio=1.0)
+            return _LinearMotion(extrapolated=own, own=own, ratio=1.0)
         coarser = self._walls[1]
         other = coarser.kinematics.linear(coarser.shell.linear(loads[1]))
-        limit = own + self._pair.change_to_limit(own, other)
-        ratio = force_ratio(limit[:, :3], own[:, :3])
+        extrapolated = own + self._pair.correction(own, other)
+        ratio = force_ratio(extrapolated[:, :3], own[:, :3])
         # Beside a clamped rim hardly anything moves, and meshes may differ by more.
         ratio = min(max(ratio, 1.0 / RATIO_MAX), RATIO_MAX)
-        return _LinearLimit(motion=limit, own=own, ratio=ratio)
+        return _LinearMotion(extrapolated=extrapolated, own=own, ratio=ratio)
 
     def _too_deep(self, dent: float) -> str:
         """Why linear motion says little; "" where the wall moves by less than its thickness."""

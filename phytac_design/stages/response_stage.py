@@ -227,7 +227,7 @@ def truth_responses(
         markers=context.markers,
     )
     meshes = pair.each if pair else [finer]
-    motion, *other = (
+    motion, *coarser = (
         motion_responses(
             model,
             mesh,
@@ -240,7 +240,9 @@ def truth_responses(
         for mesh, model in meshes
     )
     if pair:
-        motion += pair.change_to_limit(motion, other[0])
+        # One patch after the other: motion of all of them may fill the memory.
+        for k, coarse in enumerate(coarser[0]):
+            motion[k] += pair.correction(motion[k], coarse)
     return sum(len(mesh.nodes_mm) for mesh, _ in meshes), motion
 
 

@@ -35,7 +35,7 @@ from phytac_design.simulation.scenario.instance_scatter import (
 )
 from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance, thickness_factor
-from phytac_design.simulation.solver import Displacement, SampleMotion, Solver, _LinearLimit
+from phytac_design.simulation.solver import Displacement, SampleMotion, Solver, _LinearMotion
 from phytac_shapes.errors import NumericalError
 from tests.designs import small
 from verification.quadratic_shell import element_uv
@@ -256,7 +256,7 @@ def test_meshes_that_differ_much_do_not_change_the_force_by_more_than_half(
 
 def test_a_correction_is_scaled_down_where_the_wall_stiffens() -> None:
     one = np.ones((2, 6))
-    limit = _LinearLimit(motion=1.2 * one, own=one, ratio=1.1)
+    limit = _LinearMotion(extrapolated=1.2 * one, own=one, ratio=1.1)
     np.testing.assert_allclose(limit.corrected(0.6 * one), 0.6 + 0.5 * (1.2 - 1.1))
     np.testing.assert_allclose(limit.corrected(2.4 * one), 2.4 + (1.2 - 1.1))
 
@@ -412,6 +412,10 @@ def test_a_coarser_mesh_that_is_refused_is_done_without(monkeypatch: pytest.Monk
         return make
 
     monkeypatch.setattr(shell_module, "truth_mesh", refused(4))
+    found = solved(Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=6), row)
+    np.testing.assert_array_equal(got(found), got(plain))
+    # Nor is anything divided by the difference of two meshes that are alike.
+    monkeypatch.setattr(shell_module, "truth_mesh", lambda *given: made(*given[:2], 6, given[3]))
     found = solved(Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=6), row)
     np.testing.assert_array_equal(got(found), got(plain))
     monkeypatch.setattr(shell_module, "truth_mesh", refused(6))

@@ -31,6 +31,7 @@ from phytac_design.mechanics.shell import discretisation
 from phytac_design.mechanics.shell.discretisation import (
     DiscretisationError,
     ProbedShell,
+    correction_share,
     estimate_error,
     force_ratio,
     probed_sensor,
@@ -273,8 +274,8 @@ class _ScaledPress:
         the shell moves less than linear theory predicts.
         """
         found = read_motion(self.part, motion, large=large)
-        linear = self.force_N * _largest(self.linear[:, :, 0])
-        return found + min(1.0, _largest(found) / max(linear, 1e-300)) * self._rest_mm
+        share = correction_share(found, self.force_N * self.linear[:, :, 0])
+        return found + share * self._rest_mm
 
 
 def read_motion(probed: ProbedShell, motion: FloatArray, *, large: bool) -> FloatArray:

@@ -221,6 +221,20 @@ def force_ratio(fine: FloatArray, coarse: FloatArray) -> float:
     return float(np.vdot(fine, coarse) / max(float(np.vdot(coarse, coarse)), 1e-300))
 
 
+def correction_share(large: FloatArray, linear: FloatArray) -> float:
+    """Share of a correction of linear motion that large displacements get, 0 … 1.
+
+    The correction is scaled down where the shell moves less than linear theory predicts.
+
+    Parameters
+    ----------
+    large, linear : (n, 3) float
+        Translations by large displacements, and extrapolated by linear theory.
+    """
+    size = [float(np.linalg.norm(field, axis=1).max()) for field in (large, linear)]
+    return min(1.0, size[0] / max(size[1], 1e-300))
+
+
 def _measured_rate(fine: FloatArray, coarse: FloatArray, ratios: FloatArray) -> FloatArray:
     """Rate (m,) from the differences (m,) of three meshes, at least 0.02 and at most 8.
 

@@ -46,7 +46,6 @@ def error() -> ForceError:
     return ForceError(drawn("hemisphere", 1), count=6)
 
 
-@pytest.mark.long
 def test_work_on_the_simulated_sensor_is_that_of_its_meshes() -> None:
     design, surface = small(), small().surface()
     work = Workload(design)
@@ -55,6 +54,7 @@ def test_work_on_the_simulated_sensor_is_that_of_its_meshes() -> None:
     assert work.truth_nodes(6) == each[6] + each[4]
 
 
+@pytest.mark.long
 def test_tighter_tolerances_cost_more_and_hold(error: ForceError) -> None:
     choices = [
         choose_tolerance(error.design, tolerance, error=error) for tolerance in (0.2, 0.08, 0.04)
