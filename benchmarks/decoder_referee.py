@@ -1,24 +1,39 @@
 """The decoder on contacts that CalculiX solved on the solid sensor; part ``referee``.
 
 Tips moved as the referee says are seen through the design's own lens, with noise; switches follow
-the activation law. No estimator has ever seen such data: ``auto`` knows the design alone, the
-networks learnt from the twin's samples of the sensor as designed.
+the activation law. Estimators know the design alone, have learnt from the twin's samples of the
+sensor as designed, or, as a user calibrates a print, from ten of the referee's own loads: on the
+others, ten after ten.
 """
+
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.decoder_data import nominal, set_of
+from benchmarks.decoder_data import chosen, nominal, set_of
 from benchmarks.decoder_evaluation import (
     LEARNT,
+    Evaluation,
     by_design,
     evaluate_decoder,
     mechanics,
     train_decoder,
 )
-from benchmarks.decoder_rows import FULL, TARGETS, add_bounds, add_claims, add_scores
+from benchmarks.decoder_rows import (
+    ALL,
+    FULL,
+    MIDDLE,
+    RELATIVE,
+    TARGETS,
+    WORDS,
+    add_bounds,
+    add_claims,
+    add_scores,
+)
 from benchmarks.harness import Table
 from benchmarks.referee.contacts import COUNTS
 from benchmarks.referee.read import Solved, data_file, read_solved
+from phytac_decoder.io.bundle import Bundle
 from phytac_design.datasets.samples import (
     STATUSES,
     THEORIES,
@@ -37,6 +52,8 @@ from phytac_design.training.training_data import DataSet
 from phytac_shapes.arrays import FloatArray
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
+OWN = 10
+"""Loads of the sensor itself that a decoder learns from."""
 
 
 def shifts_px(context: Context, item: Solved) -> FloatArray:
@@ -140,3 +157,34 @@ def add_rows_referee(table: Table, *, quick: bool) -> None:
         again = evaluate_decoder(context, bundle.model, data, estimators=LEARNT)
         add_scores(table, f"{head}, trained on the twin's {case.name}", again, FULL, source=SOURCE)
         add_claims(table, f"{head}, trained on the twin's {case.name}", again.claims, target=False)
+        add_own(table, head, list(after_own(context, plain, data)))
+
+
+def after_own(context: Context, plain: Bundle, data: DataSet) -> Iterator[Evaluation]:
+    """``auto`` on all but the :data:`OWN` loads that it has learnt from, of each group of these."""
+    count = data.samples.count
+    order = np.random.default_rng(6).permutation(count)
+    for own in np.array_split(order, round(count / OWN)):
+        bundle, _ = train_decoder(plain, chosen(data, own), names=("auto",))
+        others = chosen(data, np.setdiff1d(order, own))
+        yield evaluate_decoder(context, bundle.model, others, estimators=("auto",))
+
+
+def add_own(table: Table, head: str, each: Sequence[Evaluation]) -> None:
+    """Errors and intervals over all groups of loads together."""
+    head = f"{head}, after {OWN} of them: auto"
+    note = f"{len(each)} groups of {OWN} loads in turn, each judged on all other loads"
+    for group in (ALL, MIDDLE):
+        masks = [one.group(*group) for one in each]
+        counts = [int(mask.sum()) for mask in masks]
+        errors = [
+            100.0 * one.score("auto", mask)[RELATIVE]["value"]
+            for one, mask in zip(each, masks, strict=True)
+        ]
+        row = f"{head}, {WORDS[group]}: mean relative error"
+        table.add(row, float(np.average(errors, weights=counts)), "%", "none", SOURCE, note=note)
+    counts = [len(one.claims.truth_N) for one in each]
+    share = 100.0 * float(np.average([one.claims.covered for one in each], weights=counts))
+    row = f"{head}, share of truths inside 90 % intervals: distance from 90 %"
+    words = f"{share:.1f} % of {sum(counts)} inside; {note}"
+    table.add(row, abs(share - 90.0), "%", 0.0, SOURCE, "<= 5", words)

@@ -3,12 +3,15 @@
 Part ``friction``: contacts of the scenario ``platform`` on virtual prints, with and without
 friction, are read by decoders that learnt from either. The same decoder without tables of force
 along the surface is beside it. Part ``elsewhere``: a decoder that learnt from one print reads what
-it has not learnt: other contacts, another stiffness, other prints. ::
+it has not learnt: other contacts, another stiffness, other prints. Part ``presses``: the decoder by
+design, calibrated to a few presses of prints that it has never seen, as ``phytac
+calibrate-instance`` does. ::
 
-    python -m benchmarks.hands [--parts friction,elsewhere] [--quick]
+    python -m benchmarks.hands [--parts friction,elsewhere,presses] [--quick]
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 
@@ -27,6 +30,7 @@ from benchmarks.decoder_data import (
 from benchmarks.decoder_evaluation import Evaluation, by_design, evaluate_decoder, mechanics
 from benchmarks.harness import Table, run_parts
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline.decode import FrameMeasurement
 from phytac_decoder.pipeline.print_identity import for_this_print
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.design.accuracy import Preset
@@ -34,9 +38,16 @@ from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.training.evaluation.contact_scores import interval_coverage
 from phytac_design.training.locator_calibration import calibrate_locator
+from phytac_design.training.press_places import next_place
 from phytac_design.training.training_data import DataSet
+from phytac_design.workflows.calibrate_instance import (
+    KnownPress,
+    calibrate_to_presses,
+    known_press,
+)
 from phytac_design.workflows.simulate import observe_rest
 from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import InputError
 
 LEARNT = 200
 FRICTION = {"friction 0 to 0.8": 0.8, "no friction": 0.0}
@@ -45,6 +56,20 @@ GHOST_N = 1.0
 """A contact where nothing presses counts from this force on."""
 NEAR_MM = 5.0
 """Largest distance of a located contact from the pressed one that it is compared with."""
+PRESSES = (0, 3, 10, 25)
+"""Presses of a print of its own."""
+PRINTS, POOL, HELD_OUT = 8, 30, 25
+"""Prints that are calibrated, and of each the presses to choose from, and the samples to judge."""
+PRESSED: dict[str, object] = {
+    "placement": "anywhere",
+    "multi_share": 0.0,
+    "friction_max": 0.2,
+    "force_min_N": 8.0,
+    "indenters": [{"kind": "flat"}],
+}
+"""Presses with a pad, nearly along the normal."""
+TARGETS_PRESSES = {0: "<= 5", 10: "<= 1.5"}
+"""Errors at middle heights, %."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -360,11 +385,102 @@ def _add_elsewhere_rows(table: Table, head: str, judged: list[Evaluation]) -> No
     table.add(case, len(ghosts), "", "", "project target", "== 0", note)
 
 
+def add_presses(table: Table, *, quick: bool) -> None:
+    """Rows of a decoder by design that is calibrated to a few presses of prints."""
+    accuracy: Preset = "draft" if quick else "standard"
+    design = small_design() if quick else load_design("cylinder60")
+    solve: dict[str, object] = {"displacement": "linear"} if quick else {}
+    context = mechanics(design, accuracy)
+    plain = by_design(context)
+    judged: dict[tuple[str, int], list[Evaluation]] = {}
+    for number in range(2 if quick else PRINTS):
+        seed = SEED + 1 + number
+        sets = []
+        for name, touch in (
+            ("own", PRESSED | {"samples": POOL}),
+            ("held-out", {"placement": "receptor", "samples": 10 if quick else HELD_OUT}),
+        ):
+            job = job_of(design, seed=seed, unit=2, accuracy=accuracy, touch=touch, solve=solve)
+            folder = f"hands-{design.name}-{name}-{seed}"
+            sets.append(set_of(folder, *data_set(folder, job)))
+        pool = _usable_presses(plain, sets[0].samples)
+        drawn = [pool[k] for k in np.random.default_rng(seed).permutation(len(pool))]
+        for how, order in (("at random", drawn), ("where proposed", _as_proposed(plain, pool))):
+            for count in PRESSES[:: 2 if quick else 1]:
+                bundle = plain
+                if count:
+                    bundle, _ = calibrate_to_presses(context.sensor, plain, order[:count])
+                one = evaluate_decoder(context, bundle.model, sets[1], estimators=["auto"])
+                judged.setdefault((how, count), []).append(one)
+    for (how, count), each in judged.items():
+        head = f"{design.name}, {len(each)} prints, {count} presses of each, {how}"
+        _add_press_rows(table, head, each, TARGETS_PRESSES.get(count))
+
+
+def _usable_presses(plain: Bundle, samples: Samples) -> list[KnownPress]:
+    """Presses that a calibration takes."""
+    touches, _, shift, bits = samples.points()
+    out = []
+    for row, sample in enumerate(touches.sample.tolist()):
+        found = np.isfinite(shift[sample]).all(axis=1)
+        koi = np.flatnonzero(bits[sample])
+        measured = FrameMeasurement(koi=koi, shift_px=shift[sample], found=found)
+        with suppress(InputError):
+            out.append(known_press(plain, measured, float(touches.force_N[row])))
+    return out
+
+
+def _as_proposed(plain: Bundle, pool: list[KnownPress]) -> list[KnownPress]:
+    """Presses in the order in which they are nearest to where the next one is proposed."""
+    assert plain.model.locator is not None
+    left, out = list(pool), []
+    points = np.zeros((0, 3))
+    while left:
+        wanted = next_place(plain.model.locator.places, points)
+        gap = [np.linalg.norm(press.contact.point_mm - wanted) for press in left]
+        out.append(left.pop(int(np.argmin(gap))))
+        points = np.append(points, out[-1].contact.point_mm[None], axis=0)
+    return out
+
+
+def _add_press_rows(table: Table, head: str, judged: list[Evaluation], target: str | None) -> None:
+    """Errors and intervals over all prints."""
+    share = np.concatenate(
+        [
+            np.abs(one.decoded.decoded_N["auto"] - one.decoded.force_N) / one.decoded.force_N
+            for one in judged
+        ]
+    )
+    middle = np.concatenate([one.group("height", "middle") for one in judged])
+    single = np.concatenate([one.group("contact", "single") for one in judged])
+    for where, mask, goal in (
+        ("middle heights", middle, target),
+        ("middle heights, single contacts", middle & single, None),
+    ):
+        each = f"{int(mask.sum())} contacts"
+        mean = 100.0 * float(share[mask].mean())
+        case = f"{head}: {where}, mean relative error"
+        table.add(case, mean, "%", "", "project target", goal, each)
+    claims = [one.claims for one in judged]
+    force, sd, truth = (
+        np.concatenate([getattr(one, name) for one in claims])
+        for name in ("force_N", "sd_N", "truth_N")
+    )
+    covered = 100.0 * interval_coverage(force, sd, truth, level=0.9)
+    note = (
+        f"{covered:.3g} % of {len(force)} contacts; standard deviation "
+        f"{100.0 * float(np.median(sd / truth)):.2g} % of the force"
+    )
+    case = f"{head}: share within 90 % intervals, distance from 90 %"
+    table.add(case, abs(covered - 90.0), "%", "", "project target", "<= 5", note)
+
+
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """Parts of this benchmark."""
     return {
         "friction": partial(add_friction, quick=quick),
         "elsewhere": partial(add_elsewhere, quick=quick),
+        "presses": partial(add_presses, quick=quick),
     }
 
 
