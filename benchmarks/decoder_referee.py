@@ -186,5 +186,5 @@ def add_own(table: Table, head: str, each: Sequence[Evaluation]) -> None:
     counts = [len(one.claims.truth_N) for one in each]
     share = 100.0 * float(np.average([one.claims.covered for one in each], weights=counts))
     row = f"{head}, share of truths inside 90 % intervals: distance from 90 %"
-    words = f"{share:.1f} % of {sum(counts)} inside; {note}"
+    words = f"{share:.1f} % of {sum(counts)} readings inside; {note}"
     table.add(row, abs(share - 90.0), "%", 0.0, SOURCE, "<= 5", words)

@@ -1,10 +1,10 @@
 """The command that calibrates one print's decoder by a few presses of known force."""
 
 import contextlib
-import csv
 import re
 import shlex
-from collections.abc import Iterator, Sequence
+import signal
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,21 +17,38 @@ from phytac_design.cli.serve_command import (
     ControlOption,
     RestFirstOption,
     RestOption,
-    SourceArgument,
+    check_rest_options,
+    check_source_count,
     open_frames,
 )
 from phytac_shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from phytac_decoder.io.frame import Frame, Source
+    from phytac_decoder.io.bundle import Bundle
+    from phytac_decoder.io.frame import Source
     from phytac_design.simulation.rig_import.rig_frames import FrameFolder
     from phytac_design.workflows.calibrate_instance import InstanceCalibration
     from phytac_shapes.arrays import ImageArray
 
-UNITS_N = {"": 1.0, "n": 1.0, "g": 9.80665e-3, "kg": 9.80665, "oz": 0.278014, "lb": 4.448222}
+UNITS_N = {
+    "": 1.0,
+    "n": 1.0,
+    "mn": 1e-3,
+    "kn": 1e3,
+    "g": 9.80665e-3,
+    "gf": 9.80665e-3,
+    "kg": 9.80665,
+    "kgf": 9.80665,
+    "oz": 0.2780139,
+    "ozf": 0.2780139,
+    "lb": 4.4482216,
+    "lbf": 4.4482216,
+}
 """Newtons of a unit of a scale or force gauge."""
+PRESSES, PRESSES_MIN = 10, 3
+"""Presses that are asked for by default, and least before ``--accuracy`` ends them."""
 REST_FRAMES = 30
-"""Rest frames that are taken if neither option says otherwise."""
+"""Rest frames of a camera if neither option says otherwise."""
 STEADY_FRAMES, STEADY_SHARE = 5, 0.05
 """Frames of a camera in which a press is held, and the largest change of its force meanwhile."""
 
@@ -39,25 +56,33 @@ STEADY_FRAMES, STEADY_SHARE = 5, 0.05
 def calibrate_instance(
     design: DesignArgument,
     bundle: BundleArgument,
-    source: SourceArgument,
-    out: Annotated[
-        Path,
-        typer.Option(callback=check_out, help="The calibrated decoder's own folder."),
+    source: Annotated[
+        list[str],
+        typer.Argument(
+            help="Camera's number or address; with --table the folder of the presses' pictures; "
+            "two of two cameras, near end first."
+        ),
     ],
-    presses: Annotated[int, typer.Option(help="Number of presses.", min=1, max=1000)] = 10,
+    out: Annotated[
+        Path, typer.Option(callback=check_out, help="The calibrated decoder's own folder.")
+    ],
+    presses: Annotated[
+        int | None,
+        typer.Option(help="Number of presses; 10, or all of the table, if not given.", min=1),
+    ] = None,
     accuracy: Annotated[
         float,
         typer.Option(
-            help="Stop as soon as half the 95 % interval of a press is at most this, % of its "
-            "force; 0: after all presses.",
+            help="Stop, after three presses or more, as soon as half the 95 % interval of a press "
+            "is at most this, % of its force; 0: never.",
             min=0.0,
         ),
     ] = 0.0,
-    forces: Annotated[
+    table: Annotated[
         Path | None,
         typer.Option(
-            help="CSV of the presses' pictures (column frame, files of the folder SOURCE) and "
-            "forces (force_N), instead of questions."
+            help="CSV of presses, columns frame (a picture in the folder SOURCE) and force_N: "
+            "nothing is asked."
         ),
     ] = None,
     rest: RestOption = None,
@@ -68,63 +93,100 @@ def calibrate_instance(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate the decoder of one print by a few presses on a scale, at proposed places."""
+    """Calibrate the decoder of your print by a few presses on a scale, at proposed places.
+
+    For each press: hold it, press Enter, and type what the scale reads, such as 9.3 (newtons),
+    948 g or 2.1 lb; or skip, undo, done.
+    """
     from phytac_decoder.io.bundle import load_bundle
-    from phytac_decoder.io.recorded_frames import read_image
-    from phytac_decoder.pipeline.rest_frames import take_rest_frames
     from phytac_design.design.design_file import load_design
     from phytac_design.layout.sensor import Sensor
     from phytac_design.training.result_folder import reserve_folder
-    from phytac_design.workflows.calibrate_instance import LOG, TABLE, InstanceCalibration
+    from phytac_design.workflows.calibrate_instance import (
+        TABLE,
+        InstanceCalibration,
+        doubts,
+        untaught_locator,
+    )
 
-    loaded = load_design(design)
-    decoder = load_bundle(bundle)
-    unloaded = [read_image(path) for path in rest or []]
-    if rest and rest_first:
-        raise InputError(
-            "rest-options-exclusive",
-            "--rest and --rest-first name the unloaded sensor both; give one of them",
-        )
-    if any(out.resolve() in Path(where).resolve().parents for where in source):
-        raise OutputError(
-            "output-holds-source",
-            f"{out} holds the pictures that are to be read; choose another --out",
-        )
-    if (out / LOG).exists() and not force:
-        raise OutputError(
-            "output-exists",
-            f"{out} holds the presses of another run; choose another --out, or drop them with "
-            "--force",
-        )
+    loaded, decoder = load_design(design), load_bundle(bundle)
+    check_rest_options(rest, rest_first)
+    check_source_count(decoder, source)
+    untaught_locator(decoder)
+    _check_out_folder(out, bundle, source, force=force)
+    for limit in decoder.limits("auto"):
+        say(f"warning: {limit}")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with reserve_folder(out, TABLE, loaded.name, force=force), contextlib.ExitStack() as stack:
-        if forces is not None:
-            if not unloaded:
-                raise InputError(
-                    "rest-frame-missing", "give the unloaded sensor's picture with --rest"
-                )
-            calibration = InstanceCalibration(Sensor(loaded), decoder, out, unloaded)
-            _add_listed(calibration, forces, source, presses, accuracy)
-        else:
-            frames = open_frames(stack, decoder, source, control, report=say, pace=False)
-            if not unloaded:
-                say("leave the sensor unloaded")
-                unloaded = take_rest_frames(decoder, frames, rest_first or REST_FRAMES)
-            calibration = InstanceCalibration(Sensor(loaded), decoder, out, unloaded)
-            _add_asked(calibration, frames, decoder.force_max_N, presses, accuracy)
+        camera = None if table else _camera(stack, decoder, source, control)
+        unloaded = _unloaded(decoder, camera, rest, rest_first)
+        calibration = InstanceCalibration(Sensor(loaded), decoder, out, unloaded)
+        say(f"by design, forces are within ± {100.0 * calibration.interval_share:.0f} % (95 %)")
+        if camera is not None:
+            _add_asked(calibration, camera, decoder.force_max_N, presses or PRESSES, accuracy)
+        elif table is not None:
+            _add_table(calibration, table, source, presses, accuracy)
         if not calibration.presses:
-            raise InputError(
-                "no-presses", "no press is known: nothing is calibrated; start again with a scale"
-            )
+            raise InputError("no-presses", "no press was taken, so that nothing is calibrated")
         facts = calibration.save()
+    for doubt in doubts(calibration.presses):
+        say(f"warning: {doubt}")
     if as_json:
         print_json({"out": str(out)} | facts)
         return
     typer.echo(
-        f"{out}: presses: {facts['presses']}, {facts['auto']['stiffness']:.3f} times the stiffness "
-        f"of the design, forces of such presses within ± {100.0 * facts['interval_share']:.1f} % "
-        "(95 %)"
+        f"{out}: presses: {facts['presses']}; {facts['auto']['stiffness']:.3f} times the stiffness "
+        f"of the design; forces of such presses within ± {100.0 * facts['interval_share']:.1f} % "
+        "(95 %, median)"
     )
-    next_step(f"phytac live {shlex.join([str(out), *source])} --rest-first 30")
+    if table is None:
+        next_step(f"phytac live {shlex.join([str(out), *source])} --rest-first {REST_FRAMES}")
+    else:
+        next_step(f"phytac decode {shlex.quote(str(out))} FRAME --rest REST")
+
+
+def _camera(
+    stack: contextlib.ExitStack, bundle: "Bundle", source: list[str], control: list[str] | None
+) -> "Source":
+    """Running camera, which the stack closes.
+
+    Raises
+    ------
+    InputError
+        If it is a recording.
+    """
+    frames = open_frames(stack, bundle, source, control, report=say)
+    if not frames.live:
+        raise InputError(
+            "source-not-live",
+            f"{frames.description} is a recording; name its presses in a file with --table, or "
+            "give a camera",
+        )
+    return frames
+
+
+def _unloaded(
+    bundle: "Bundle", camera: "Source | None", rest: list[Path] | None, rest_first: int
+) -> "Sequence[ImageArray]":
+    """Pictures of the unloaded sensor, of files or of the running camera.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    from phytac_decoder.io.recorded_frames import read_image
+    from phytac_decoder.pipeline.rest_frames import take_rest_frames
+
+    if rest:
+        return [read_image(path) for path in rest]
+    if camera is None:
+        raise InputError(
+            "rest-frame-missing",
+            "--table needs the unloaded sensor's picture; give it with --rest",
+        )
+    say("leave the sensor unloaded until the first press is proposed")
+    return take_rest_frames(bundle, camera, rest_first or REST_FRAMES)
 
 
 def newtons(text: str) -> float:
@@ -137,14 +199,48 @@ def newtons(text: str) -> float:
     """
     found = re.fullmatch(r"\s*(\d+(?:[.,]\d*)?|[.,]\d+)\s*([a-z]*)\s*", text.lower())
     if found is None or found[2] not in UNITS_N:
-        units = ", ".join(name for name in UNITS_N if name)
         raise InputError(
-            "force-invalid", f"a force is a number, in newtons or with a unit ({units}): {text!r}"
+            "force-invalid",
+            f"a force is a number above 0, in newtons or with a unit (g, kg, oz, lb): {text!r}",
         )
     value = float(found[1].replace(",", ".")) * UNITS_N[found[2]]
     if value <= 0.0:
         raise InputError("force-invalid", f"a force is above 0 (got {text!r})")
     return value
+
+
+def _check_out_folder(out: Path, bundle: Path, source: Sequence[str], *, force: bool) -> None:
+    """Refuse to overwrite what is to be read, or the presses of another run.
+
+    Raises
+    ------
+    OutputError
+        If ``out`` holds either.
+    """
+    from phytac_design.workflows.calibrate_instance import LOG
+
+    whole = out.resolve()
+    if whole == bundle.resolve() or any(whole in Path(where).resolve().parents for where in source):
+        raise OutputError(
+            "output-holds-source", f"{out} holds what is to be read; choose another --out"
+        )
+    if (out / LOG).exists() and not force:
+        raise OutputError(
+            "output-exists",
+            f"{out} holds the presses of another run; choose another --out, or drop them with "
+            f"--force. (SOURCE {out}/frames --table {out}/{LOG} --rest {out}/frames/rest.png "
+            "calibrates by them.)",
+        )
+
+
+def _ask(text: str) -> str:
+    """Answer to a question on standard error; "done" at the end of the answers, or on Ctrl-C."""
+    typer.echo(f"{text} ", nl=False, err=True)
+    try:
+        return input().strip().lower()
+    except (EOFError, KeyboardInterrupt):
+        say("")
+        return "done"
 
 
 def _add_asked(
@@ -155,83 +251,107 @@ def _add_asked(
     accuracy: float,
 ) -> None:
     """Propose presses and ask for their forces, until there are enough or the user stops."""
-    frames = iter(source)
-    say("for each press: hold it, type what the scale reads, and press Enter; or skip, undo, done")
-    while _wanted(calibration, presses, accuracy):
-        number = len(calibration.presses) + 1
+    answer = ""
+    while answer != "done" and _wanted(calibration, presses, accuracy):
         say(
-            f"press {number} of {presses}: {calibration.proposal()}, along the normal, with about "
-            f"{0.5 * force_max_N:.2g} N"
+            f"press {len(calibration.presses) + 1} of {presses}: {calibration.proposal()}, "
+            f"straight onto the wall, with about {0.5 * force_max_N:.2g} N"
         )
+        answer = _ask("hold it and press Enter (or skip, undo, done):")
         try:
-            answer = typer.prompt("force", err=True).strip().lower()
-        except typer.Abort:  # Ctrl-C, or the end of the answers
-            return
-        if answer in ("done", "d", "q"):
-            return
-        try:
-            _answer(calibration, answer, frames, live=source.live)
+            if answer == "":
+                answer = _take(calibration, source)
+            elif answer == "skip":
+                calibration.skip()
+            elif answer == "undo":
+                calibration.undo()
+                say(f"presses so far: {len(calibration.presses)}")
+            elif answer != "done":
+                say("press Enter while you hold the press; or type skip, undo or done")
         except InputError as error:
             say(f"not taken: {error}")
+        except KeyboardInterrupt:
+            say("stopped")
+            return
 
 
-def _answer(
-    calibration: "InstanceCalibration", answer: str, frames: "Iterator[Frame]", *, live: bool
-) -> None:
-    """Do what an answer says: a press, or one of the words."""
-    if answer in ("skip", "s"):
-        calibration.skip()
-        return
-    if answer in ("undo", "u"):
-        calibration.undo()
-        say(f"presses so far: {len(calibration.presses)}")
-        return
-    force_N = newtons(answer)
-    shots = [_images(frames) for _ in range(STEADY_FRAMES if live else 1)]
-    change = calibration.change_share(shots) if live else 0.0
-    if change > STEADY_SHARE:
-        raise InputError(
-            "press-unsteady",
-            f"the force changed by {100.0 * change:.0f} % while it was read; hold still, and type "
-            "the force again",
-        )
-    _say_press(calibration, shots[-1], force_N)
+def _take(calibration: "InstanceCalibration", source: "Source") -> str:
+    """Take the pictures of a press that is held, and ask for its force.
 
-
-def _images(frames: "Iterator[Frame]") -> "Sequence[ImageArray]":
-    """Images of the next frame.
+    Returns
+    -------
+    str
+        "done" if the answers have ended.
 
     Raises
     ------
     InputError
-        If there is none, or the camera gives no picture.
+        If there is no picture, or the press is of no use.
     """
-    frame = next(frames, None)
-    if frame is None or not frame.images:
-        raise InputError("camera-lost", "there is no picture; check the camera and its plug")
-    return frame.images
+    shots: list[tuple[ImageArray, ...]] = []
+    for frame in source:
+        shots.append(frame.images)
+        if not frame.images or len(shots) > STEADY_FRAMES:
+            break
+    # The first one may have been waiting.
+    shots = shots[1:]
+    if len(shots) < STEADY_FRAMES or not all(shots):
+        raise InputError("camera-lost", "the camera gives no picture; check it and its plug")
+    change = calibration.change_share(shots)
+    if change > STEADY_SHARE:
+        raise InputError(
+            "press-unsteady",
+            f"the force changed by {100.0 * change:.0f} % (at most {100.0 * STEADY_SHARE:.0f} %) "
+            "while it was looked at; hold still",
+        )
+    answer = _ask("what the scale reads (newtons; or 948 g, 0.95 kg, 2.1 lb):")
+    if answer not in ("done", "skip", ""):
+        _add(calibration, shots[len(shots) // 2], newtons(answer))
+    return answer
 
 
-def _add_listed(
+def _add_table(
     calibration: "InstanceCalibration",
     path: Path,
     folders: list[str],
-    presses: int,
+    presses: int | None,
     accuracy: float,
 ) -> None:
-    """Add the presses of a table, in its order."""
-    from phytac_design.simulation.rig_import.rig_frames import FrameFolder
+    """Add the presses of a table, in its order.
 
+    Raises
+    ------
+    InputError
+        If the table cannot be read, or names no picture or force.
+    """
+    from phytac_design.simulation.rig_import.rig_frames import FrameFolder
+    from phytac_design.simulation.rig_import.rig_log import read_rows
+
+    names, rows, _ = read_rows(path)
+    missing = [name for name in ("frame", "force_N") if name not in names]
+    if missing:
+        raise InputError(
+            "csv-columns",
+            f"{path} has no column {' and '.join(missing)} (its first line: {','.join(names)}); "
+            "columns are separated by commas",
+        )
     sources = [FrameFolder(Path(folder), None) for folder in folders]
-    for line, name, force in _rows(path):
-        if not _wanted(calibration, presses, accuracy):
+    lines = {row["frame"]: line for line, row in reversed(rows)}
+    twice = [line for line, row in rows if lines[row["frame"]] != line]
+    if twice:
+        raise InputError(
+            "frame-twice",
+            f"{path}, line {twice[0]}: its picture is that of a line above; give each press one",
+        )
+    for count, (line, row) in enumerate(rows):
+        if not _wanted(calibration, presses or len(rows), accuracy):
+            say(f"rows that are not needed: {len(rows) - count}")
             return
-        where = f"{path}, line {line}"
         try:
-            images = [_picture(source, name) for source in sources]
-            _say_press(calibration, images, newtons(force))
+            images = [_picture(source, row["frame"]) for source in sources]
+            _add(calibration, images, newtons(row["force_N"]))
         except InputError as error:
-            say(f"not taken: {where}: {error}")
+            say(f"not taken: {path}, line {line}: {error}")
 
 
 def _picture(source: "FrameFolder", name: str) -> "ImageArray":
@@ -248,43 +368,23 @@ def _picture(source: "FrameFolder", name: str) -> "ImageArray":
     return source.read(number)
 
 
-def _rows(path: Path) -> "Iterator[tuple[int, str, str]]":
-    """Line, picture and force of each row of a table.
-
-    Raises
-    ------
-    InputError
-        If a column is missing.
-    """
-    from phytac_shapes.bounded_reader import read_text
-
-    lines = [line for line in read_text(path).splitlines() if not line.startswith("#")]
-    rows = csv.DictReader(lines)
-    missing = {"frame", "force_N"} - set(rows.fieldnames or ())
-    if missing:
-        raise InputError(
-            "csv-columns",
-            f"{path} has no column {' and '.join(sorted(missing))}; its first line names the "
-            "columns, separated by commas",
-        )
-    for number, row in enumerate(rows, start=2):
-        yield number, row["frame"] or "", row["force_N"] or ""
-
-
 def _wanted(calibration: "InstanceCalibration", presses: int, accuracy: float) -> bool:
     """Whether more presses are needed."""
     known = len(calibration.presses)
-    good = known > 0 and 100.0 * calibration.interval_share <= accuracy
+    good = known >= PRESSES_MIN and 100.0 * calibration.interval_share <= accuracy
     return known < presses and not good
 
 
-def _say_press(
+def _add(
     calibration: "InstanceCalibration", images: "Sequence[ImageArray]", force_N: float
 ) -> None:
+    from phytac_design.workflows.calibrate_instance import doubts
+
     press = calibration.add(images, force_N)
-    for warning in press.warnings:
+    for warning in (*press.warnings, *doubts(calibration.presses)):
         say(f"warning: {warning}")
     say(
-        f"{force_N:.2f} N, read as {press.contact.raw_N:.2f} N by design; forces of such presses "
-        f"are now within ± {100.0 * calibration.interval_share:.1f} % (95 %)"
+        f"press {len(calibration.presses)}: {force_N:.2f} N at {calibration.seen_at(press)}, read "
+        f"as {press.contact.raw_N:.2f} N by design; forces of such presses are now within ± "
+        f"{100.0 * calibration.interval_share:.1f} % (95 %)"
     )

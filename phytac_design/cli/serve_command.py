@@ -370,19 +370,10 @@ def open_session(
 
     bundle = load_bundle(folder, mount=mount, stiffness_change=stiffness_change / 100.0)
     named = named_regions(regions, bundle, folder, design)
-    cameras = len(bundle.cameras)
-    if len(source) != cameras:
-        each = "one camera: one source" if cameras == 1 else f"{cameras} cameras: one source each"
-        raise InputError(
-            "camera-count", f"the sensor {bundle.design!r} has {each} (got {len(source)})"
-        )
+    check_source_count(bundle, source)
     chosen = estimator or bundle.model.best
     check_estimator(bundle, chosen)
-    if rest and rest_first:
-        raise InputError(
-            "rest-options-exclusive",
-            "--rest and --rest-first name the unloaded sensor both; give one of them",
-        )
+    check_rest_options(rest, rest_first)
     if follow and not (rest or rest_first):
         raise InputError(
             "rest-frame-missing",
@@ -412,6 +403,37 @@ def open_session(
     checked = with_exposure_check(with_torn_frame_check(taring))
     frames.restart()
     return Session(calibrated, frames, named, chosen, checked, taring)
+
+
+def check_source_count(bundle: "Bundle", source: "Sequence[str]") -> None:
+    """Check that there is one source for each camera.
+
+    Raises
+    ------
+    InputError
+        If there is not.
+    """
+    cameras = len(bundle.cameras)
+    if len(source) != cameras:
+        each = "one camera: one source" if cameras == 1 else f"{cameras} cameras: one source each"
+        raise InputError(
+            "camera-count", f"the sensor {bundle.design!r} has {each} (got {len(source)})"
+        )
+
+
+def check_rest_options(rest: list[Path] | None, rest_first: int) -> None:
+    """Check that the unloaded sensor is named once.
+
+    Raises
+    ------
+    InputError
+        If it is named twice.
+    """
+    if rest and rest_first:
+        raise InputError(
+            "rest-options-exclusive",
+            "--rest and --rest-first name the unloaded sensor both; give one of them",
+        )
 
 
 def open_frames(

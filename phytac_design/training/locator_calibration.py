@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtr, stdtrit
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
 from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise, initial_state
@@ -57,6 +57,7 @@ class CalibrationSettings:
 
 
 SETTINGS = CalibrationSettings()
+NOTHING = np.zeros(0)
 SPHERE, CYLINDER = 1, 2
 """Indenters, see ``phytac_design.datasets.samples.INDENTERS``."""
 
@@ -223,7 +224,8 @@ def calibrate_locator(
         size_mm=max(float(np.ptp(box, axis=0).max()), 1e-9),
         force_max_N=force_max_N,
     )
-    if len(matches.force_N) >= SETTINGS.contacts_min:
+    fitted = len(matches.force_N) >= SETTINGS.contacts_min
+    if fitted:
         correction = fit_correction(
             correction,
             point_mm=matches.point_mm,
@@ -233,11 +235,12 @@ def calibrate_locator(
             truth_N=matches.truth_N,
             block=press_blocks(samples, matches.touch),
         )
-    else:
-        square = np.log(matches.truth_N / matches.force_N) ** 2
-        excess = float(np.mean(square - (matches.sd_N / matches.force_N) ** 2))
-        correction = replace(correction, spread_share=max(excess, 0.0) ** 0.5)
-    share = spread_of_few(correction.spread_share, matches.sd_N / matches.force_N)
+    share = spread_with_prior(
+        np.log(matches.truth_N / matches.force_N),
+        correction.spread * matches.sd_N / matches.force_N,
+        press_blocks(samples, matches.touch),
+        known=correction.spread_share if fitted else None,
+    )
     correction = replace(correction, stiffness=first * second, spread_share=share)
     facts = {
         "contacts": len(matches.force_N),
@@ -281,27 +284,62 @@ def press_blocks(samples: Samples, touch: IntArray) -> IntArray:
     return np.where(several, samples.sequence[sample], alone)
 
 
-def spread_of_few(share: float, sd_share: FloatArray) -> float:
-    """Return the spread of forces as a share of the force, where few contacts show it.
+def spread_with_prior(
+    error: FloatArray, sd_share: FloatArray, block: IntArray, *, known: float | None = None
+) -> float:
+    """Return the spread of forces as a share of the force, by contacts and a prior.
 
-    The spread has the conjugate prior :attr:`CalibrationSettings.spread_prior`, so that a new force
-    has Student's distribution (Gelman et al. 2013, Bayesian Data Analysis, 3.3): the result is that
-    of the normal distribution with as wide a 90 % interval. The error of the common factor is
-    added. Prints scatter by no more than ``stiffness_sd``.
+    The variance has the prior :attr:`CalibrationSettings.spread_prior`, a scaled inverse χ²
+    distribution (Gelman et al. 2013, Bayesian Data Analysis, 3.3), and the result is that of the
+    normal distribution with as wide a 90 % interval of a new force. The error of the common factor,
+    a median, is added; beforehand that factor is known to ``stiffness_sd``.
 
     Parameters
     ----------
-    share : float
-        Spread that the contacts show.
+    error : (c,) float
+        Logarithm of the true over the located force, after the common factor.
     sd_share : (c,) float
-        Standard deviation of each contact's own force over the force.
+        Standard deviation of the located force over the force.
+    block : (c,) int
+        Contacts of one press, which count once.
+    known : float, optional
+        Spread over ``sd_share`` that was fitted to these contacts; else it is that of ``error``.
     """
-    prior, weight = SETTINGS.spread_prior
-    count = len(sd_share)
-    square = (weight * prior**2 + count * share**2) / (weight + count)
-    factor = 1.0 / float(np.sum(1.0 / (square + sd_share**2)))
-    wider = float(stdtrit(weight + count, 0.95)) / INTERVAL_90_SDS
-    return min(wider * float(np.sqrt(square + factor)), LOCATOR_SETTINGS.stiffness_sd)
+    prior, prior_count = SETTINGS.spread_prior
+    _, press = np.unique(block, return_inverse=True)
+    frames = np.bincount(press)
+    count = len(frames)
+    noise = np.bincount(press, weights=sd_share**2) / frames
+    if known is None:
+        # The common factor takes one degree of freedom.
+        square = np.bincount(press, weights=error**2) / frames * count / max(count - 1, 1)
+        spread = _posterior_spread(square, noise) if count > 1 else _posterior_spread()
+    else:
+        spread = np.sqrt((prior_count * prior**2 + count * known**2) / (prior_count + count))
+        spread *= stdtrit(prior_count + count, 0.95) / INTERVAL_90_SDS
+    of_median = np.pi / 2.0 / float(np.sum(1.0 / (spread**2 + noise)))
+    factor = 1.0 / (1.0 / of_median + 1.0 / LOCATOR_SETTINGS.stiffness_sd**2)
+    return float(np.sqrt(spread**2 + factor))
+
+
+def _posterior_spread(square: FloatArray = NOTHING, noise: FloatArray = NOTHING) -> float:
+    """Return the spread whose 90 % interval is that of the posterior, by errors with noise.
+
+    Parameters
+    ----------
+    square, noise : (c,) float
+        Squares of errors, and variances of what else is in them.
+    """
+    prior, count = SETTINGS.spread_prior
+    spread = prior * np.geomspace(0.05, 50.0, 300)
+    total = spread[:, None] ** 2 + noise
+    log = -count * np.log(spread) - count * prior**2 / (2.0 * spread**2)
+    log -= 0.5 * np.sum(np.log(total) + square / total, axis=1)
+    weight = np.exp(log - log.max())
+    # Of a normal distribution with each spread, as many lie within each half-width.
+    width = INTERVAL_90_SDS * spread
+    within = weight @ (2.0 * ndtr(width / spread[:, None]) - 1.0) / weight.sum()
+    return float(np.interp(0.9, within, spread))
 
 
 def _rescaled(plain: ContactLocator, matches: ContactMatches) -> tuple[ContactLocator, float]:

@@ -6,8 +6,8 @@ reads as well. Where it pressed the decoder finds itself; only the force must be
 
 import csv
 import json
-import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from phytac_decoder.io.bundle import Bundle, save_bundle
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest, calibrated_colours
 from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame, prepared_frames
 from phytac_decoder.pipeline.frame_reading import nearest_marker, read
+from phytac_decoder.pipeline.rest_frames import pressed_note
 from phytac_decoder.pipeline.shell_turn import oriented
 from phytac_design.core.json_values import finite
 from phytac_design.datasets.samples import Samples
@@ -30,11 +31,12 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES, encode_png
 from phytac_design.simulation.rig_import.rig_samples import RigSetup, samples_of
+from phytac_design.training.locator_calibration import SETTINGS as CALIBRATION
 from phytac_design.training.locator_calibration import calibrate_locator
-from phytac_design.training.press_places import next_place
+from phytac_design.training.press_places import next_press, pressable_receptors
 from phytac_design.training.result_folder import write_folder
 from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import InputError
+from phytac_shapes.errors import InputError, OutputError
 
 TABLE, LOG, FRAMES = "instance.json", "presses.csv", "frames"
 FORMAT, SCHEMA = "phytac-instance", "1.0"
@@ -48,8 +50,11 @@ class PressLimits:
     sd_share_max: float = 0.1
     """Largest standard deviation of the force that the markers show, over the force."""
     ratio_max: float = 2.0
-    """Largest ratio of the known force and the one read, or its reciprocal: prints differ by a
-    third at most."""
+    """Largest ratio of the known force and the one read, or its reciprocal: beyond it the unit is
+    wrong, or not the whole force went through the scale."""
+    doubtful_sds: float = 3.0
+    """Standard deviations by which the stiffness of a print is doubtful, or a press against the
+    others."""
 
 
 LIMITS = PressLimits()
@@ -77,21 +82,34 @@ class KnownPress:
     warnings: Sequence[str] = ()
 
 
-def locator_of(bundle: Bundle) -> ContactLocator:
-    """Estimator ``auto`` of a decoder.
+def untaught_locator(bundle: Bundle) -> ContactLocator:
+    """Estimator ``auto`` of a decoder by design.
 
     Raises
     ------
     InputError
-        If it has none.
+        If it has none, it needs switches that the design has not, or it has learnt from data.
     """
-    if bundle.model.locator is None:
+    locator = bundle.model.locator
+    if locator is None:
         raise InputError(
             "decoder-without-tables",
             f"the decoder of {bundle.design!r} has no tables of contacts, which are what presses "
             "calibrate; build the design again, with all stages of the decoder",
         )
-    return bundle.model.locator
+    if bundle.model.without_switches:
+        raise InputError(
+            "training-without-switches",
+            f"{bundle.design} has no switches that can be read, and presses are assigned by them: "
+            "use the decoder of its build, or give the design switches",
+        )
+    if locator.correction is not None or bundle.model.measured is not None:
+        raise InputError(
+            "decoder-already-trained",
+            "this decoder has learnt from data already; give that of the build, such as "
+            f"exports/{bundle.design}/decoder",
+        )
+    return locator
 
 
 def known_press(bundle: Bundle, measured: FrameMeasurement, force_N: float) -> KnownPress:
@@ -111,24 +129,28 @@ def known_press(bundle: Bundle, measured: FrameMeasurement, force_N: float) -> K
     if not reading.valid:
         raise InputError("press-not-usable", reading.warnings[0])
     contacts = reading.found.contacts if reading.found else []
-    if len(contacts) != 1:
+    if len(contacts) > 1:
         raise InputError(
-            "press-not-single",
-            f"{len(contacts) or 'no'} contacts are seen; press with one pad, hard enough to turn a "
-            "switch on",
+            "press-not-single", f"{len(contacts)} contacts are seen; press with one pad alone"
+        )
+    if not contacts or not len(contacts[0].markers):
+        raise InputError(
+            "press-not-single", "no contact is seen that turns a switch on; press harder"
         )
     (contact,) = contacts
-    if contact.raw_sd_N > LIMITS.sd_share_max * contact.raw_N:
+    share = contact.raw_sd_N / contact.raw_N
+    if share > LIMITS.sd_share_max:
         raise InputError(
             "press-not-usable",
-            f"the markers show {contact.raw_N:.1f} ± {1.96 * contact.raw_sd_N:.1f} N there; press "
-            "farther from the rims, or harder",
+            f"the markers show {contact.raw_N:.1f} N there with a standard deviation of "
+            f"{100.0 * share:.0f} % (at most {100.0 * LIMITS.sd_share_max:.0f} %); press farther "
+            "from the rims, or harder",
         )
     ratio = force_N / contact.raw_N
     if not 1.0 / LIMITS.ratio_max <= ratio <= LIMITS.ratio_max:
         raise InputError(
             "press-not-usable",
-            f"the markers show {contact.raw_N:.1f} N, and {force_N:.3g} N were given; check the "
+            f"the markers show {contact.raw_N:.1f} N, and {force_N:.4g} N were given; check the "
             "unit, that the scale was at zero, and that the whole force goes through the scale",
         )
     return KnownPress(
@@ -176,21 +198,46 @@ def calibrate_to_presses(
         One at least.
     """
     samples = press_samples(sensor, bundle, presses)
+    plain = untaught_locator(bundle)
     fitted, facts = calibrate_locator(
-        locator_of(bundle), samples, np.arange(samples.count), force_max_N=bundle.force_max_N
+        plain, samples, np.arange(samples.count), force_max_N=bundle.force_max_N
     )
+    if facts["contacts"] < CALIBRATION.contacts_min and fitted.correction is not None:
+        # One factor does not hold the error of linear tables.
+        fitted = replace(fitted, correction=replace(fitted.correction, linear=True))
     return replace(bundle, model=replace(bundle.model, locator=fitted)), facts
 
 
-def stated_share(bundle: Bundle, presses: Sequence[KnownPress]) -> float:
-    """Half the 95 % interval of a press, over its force: the median as the decoder states it."""
+def stated_shares(bundle: Bundle, presses: Sequence[KnownPress]) -> FloatArray:
+    """Half the 95 % interval of each press that is found, over its force, (k,)."""
     shares = []
     for press in presses:
-        found = bundle.model.contacts(
-            press.measured.shift_px, press.measured.koi, marked=press.measured.marked
-        )
+        seen = press.measured
+        found = bundle.model.contacts(seen.shift_px, seen.koi, marked=seen.marked)
         shares += [INTERVAL_SDS * one.sd_N / one.force_N for one in found.contacts]
-    return float(np.median(shares)) if shares else np.inf
+    return np.array(shares)
+
+
+def doubts(presses: Sequence[KnownPress]) -> list[str]:
+    """Reasons to distrust presses: one against the others, or all of them."""
+    ratio = np.array([press.force_N / press.contact.raw_N for press in presses])
+    noise = np.array([press.contact.raw_sd_N / press.contact.raw_N for press in presses])
+    sd = np.hypot(noise, CALIBRATION.spread_prior[0])
+    log, out = np.log(ratio), []
+    for number in range(len(presses) if len(presses) > 2 else 0):
+        others = float(np.median(np.delete(log, number)))
+        if abs(log[number] - others) > LIMITS.doubtful_sds * sd[number]:
+            out.append(
+                f"by press {number + 1} the print is {ratio[number]:.2f} times as stiff as the "
+                f"design, by the others {np.exp(others):.2f} times: one of them is wrong"
+            )
+    if abs(np.median(log)) > LIMITS.doubtful_sds * LOCATOR.stiffness_sd:
+        out.append(
+            f"the print seems {np.exp(np.median(log)):.2f} times as stiff as the design, more than "
+            "prints differ: check the unit, the scale's zero, and that this is the design's "
+            "material and thickness"
+        )
+    return out
 
 
 class InstanceCalibration:
@@ -213,13 +260,14 @@ class InstanceCalibration:
         The decoder by the presses so far.
     presses : list of KnownPress
         These.
-    skipped_mm : list of (3,) float
-        Places that were proposed and not pressed.
+    skipped : list of int
+        Receptors that were proposed and not pressed.
 
     Raises
     ------
     InputError
-        If the decoder is of another design, or a picture shows no sensor.
+        If the decoder is of another design or not by design alone, or a picture shows no unloaded
+        sensor.
     """
 
     def __init__(
@@ -231,6 +279,7 @@ class InstanceCalibration:
                 f"the decoder was built for another state of the design {bundle.design!r}; build "
                 f"{sensor.design.name!r} again, or name the design it was built from",
             )
+        untaught_locator(bundle)
         self._sensor, self._out, self._rest = sensor, out, rest
         # With the shell's orientation and nothing else of the rest frame: each run takes its own.
         images = prepared_frames(bundle, rest)
@@ -239,33 +288,53 @@ class InstanceCalibration:
             oriented(replace(bundle, colours=colours), images), colours=bundle.colours
         )
         self._plain = self.calibrated = calibrate_rest(bundle, rest)
-        self._places = locator_of(bundle).places
+        pressed = pressed_note(measure_frame(self._plain, rest).koi)
+        if pressed:
+            raise InputError("rest-frame-pressed", f"{pressed}; give one of the unloaded sensor")
+        locator = untaught_locator(self._plain)
+        self._radius_mm = locator.places.radius_mm
+        self._receptors = pressable_receptors(self._plain, locator)
+        self._proposed: int | None = None
         self._facts: dict[str, Any] = {}
         self.presses: list[KnownPress] = []
-        self.skipped_mm: list[FloatArray] = []
+        self.skipped: list[int] = []
 
     @property
     def interval_share(self) -> float:
-        """Half the 95 % interval of a force over the force, as the decoder states it by now."""
+        """Half the 95 % interval of a press over its force, the median; by design without one."""
         if not self.presses:
             return INTERVAL_SDS * LOCATOR.stiffness_sd
-        return stated_share(self.calibrated, self.presses)
+        shares = stated_shares(self.calibrated, self.presses)
+        return float(np.median(shares)) if len(shares) else np.inf
 
     def proposal(self) -> str:
         """Say where to press next."""
-        known = [press.contact.point_mm for press in self.presses] + self.skipped_mm
-        self._proposed_mm = next_place(self._places, np.array(known).reshape(-1, 3))
-        x, y, z = self._proposed_mm
-        marker = nearest_marker(self._proposed_mm, self._plain.position_mm)
-        markers = self._sensor.markers
-        return (
-            f"receptor {marker} (row {markers.row[marker]}, column {markers.column[marker]}), at "
-            f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm"
+        known = [press.contact.point_mm for press in self.presses]
+        known += [self._plain.position_mm[receptor] for receptor in self.skipped]
+        at = next_press(
+            self._plain.position_mm[self._receptors],
+            np.array(known).reshape(-1, 3),
+            radius_mm=self._radius_mm,
         )
+        self._proposed = int(self._receptors[at])
+        return self._place(self._proposed)
 
     def skip(self) -> None:
-        """Do not propose the last place again."""
-        self.skipped_mm.append(self._proposed_mm)
+        """Do not propose the last receptor again."""
+        if self._proposed is not None:
+            self.skipped.append(self._proposed)
+
+    def seen_at(self, press: KnownPress) -> str:
+        """Say where a press was seen."""
+        return self._place(nearest_marker(press.contact.point_mm, self._plain.position_mm))
+
+    def _place(self, receptor: int) -> str:
+        markers = self._sensor.markers
+        x, y, z = self._plain.position_mm[receptor]
+        return (
+            f"receptor {receptor} (row {markers.row[receptor]}, column {markers.column[receptor]}; "
+            f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm)"
+        )
 
     def add(self, images: Sequence[ImageArray], force_N: float) -> KnownPress:
         """Add a press, and calibrate to all of them.
@@ -284,14 +353,18 @@ class InstanceCalibration:
         """
         press = known_press(self._plain, measure_frame(self._plain, images), force_N)
         presses = [*self.presses, press]
-        self.calibrated, self._facts = calibrate_to_presses(self._sensor, self._plain, presses)
-        self.presses = presses
-        if len(presses) == 1:
-            for suffix in CAMERA_SUFFIXES:  # of an earlier run
-                shutil.rmtree(self._out / f"{FRAMES}{suffix}", ignore_errors=True)
-            self._keep("rest", self._rest)
-        self._keep(f"press_{len(presses):03d}", images)
-        self._write_log()
+        calibrated, facts = calibrate_to_presses(self._sensor, self._plain, presses)
+        if facts["contacts"] < len(presses):
+            raise InputError(
+                "press-not-single", "its switches do not show one contact; press in another place"
+            )
+        with writing(self._out):
+            if len(presses) == 1:
+                self._remove_old()
+                self._keep("rest", self._rest)
+            self._keep(f"press_{len(presses):03d}", images)
+            self._write_log(presses)
+        self.presses, self.calibrated, self._facts = presses, calibrated, facts
         return press
 
     def change_share(self, shots: Sequence[Sequence[ImageArray]]) -> float:
@@ -304,13 +377,18 @@ class InstanceCalibration:
 
     def undo(self) -> None:
         """Take the last press back."""
-        self.presses = self.presses[:-1]
-        self.calibrated, self._facts = self._plain, {}
-        if self.presses:
-            self.calibrated, self._facts = calibrate_to_presses(
-                self._sensor, self._plain, self.presses
-            )
-        self._write_log()
+        if not self.presses:
+            return
+        presses = self.presses[:-1]
+        with writing(self._out):
+            for folder in self._folders:
+                (folder / f"press_{len(self.presses):03d}.png").unlink(missing_ok=True)
+            if not presses:
+                self._remove_old()
+            self._write_log(presses)
+        self.presses, self.calibrated, self._facts = presses, self._plain, {}
+        if presses:
+            self.calibrated, self._facts = calibrate_to_presses(self._sensor, self._plain, presses)
 
     def save(self) -> dict[str, Any]:
         """Write the decoder and ``instance.json``; return the latter's contents."""
@@ -321,9 +399,10 @@ class InstanceCalibration:
             "design_hash": self._plain.design_hash,
             "presses": len(self.presses),
             "interval_share": self.interval_share,
+            "doubts": doubts(self.presses),
             "auto": self._facts,
         }
-        notes = {"instance": {"presses": len(self.presses), "interval_share": self.interval_share}}
+        notes = {"instance": finite({name: facts[name] for name in ("presses", "interval_share")})}
         model = replace(self._base.model, locator=self.calibrated.model.locator)
         done = replace(
             self._base,
@@ -337,18 +416,56 @@ class InstanceCalibration:
             (folder / TABLE).write_text(text + "\n", encoding="utf-8")
         return facts
 
+    @property
+    def _folders(self) -> list[Path]:
+        """Folder of each camera's pictures."""
+        suffixes = CAMERA_SUFFIXES[: len(self._rest)]
+        return [self._out / f"{FRAMES}{suffix}" for suffix in suffixes]
+
+    def _remove_old(self) -> None:
+        """Remove what an earlier run has left."""
+        (self._out / TABLE).unlink(missing_ok=True)
+        for folder in self._folders:
+            for path in (*folder.glob("press_*.png"), folder / "rest.png"):
+                path.unlink(missing_ok=True)
+            with suppress(OSError):  # it is not there, or the user keeps something in it
+                folder.rmdir()
+
     def _keep(self, name: str, images: Sequence[ImageArray]) -> None:
-        for image, suffix in zip(images, CAMERA_SUFFIXES, strict=False):
-            folder = self._out / f"{FRAMES}{suffix}"
+        for folder, image in zip(self._folders, images, strict=True):
             folder.mkdir(exist_ok=True)
             (folder / f"{name}.png").write_bytes(encode_png(image))
 
-    def _write_log(self) -> None:
-        """Write all presses as a log that ``phytac import`` reads."""
-        with (self._out / LOG).open("w", encoding="utf-8", newline="") as file:
+    def _write_log(self, presses: Sequence[KnownPress]) -> None:
+        """Write presses as a log that ``phytac import`` reads; remove it if there is none."""
+        log = self._out / LOG
+        if not presses:
+            log.unlink(missing_ok=True)
+            return
+        new = log.with_suffix(".part")
+        with new.open("w", encoding="utf-8", newline="") as file:
             rows = csv.writer(file)
             rows.writerow(COLUMNS)
-            for number, press in enumerate(self.presses, start=1):
+            for number, press in enumerate(presses, start=1):
                 contact = press.contact
                 place = [f"{value:.3f}" for value in (*contact.point_mm, contact.radius_mm)]
                 rows.writerow([f"press_{number:03d}.png", *place, f"{press.force_N:.6g}"])
+        new.replace(log)
+
+
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """Context in which files of a folder are written.
+
+    Raises
+    ------
+    OutputError
+        If they cannot be.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            "output-not-writable",
+            f"cannot write {out}: {error.strerror}; make room, or choose another --out",
+        ) from None

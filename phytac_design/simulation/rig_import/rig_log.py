@@ -148,7 +148,7 @@ def read_rig_log(path: Path, problems: RowProblems) -> RigLog:
     InputError
         If the file cannot be read, or its columns say too little, too much or too strange.
     """
-    names, rows, remarks = _rows(path)
+    names, rows, remarks = read_rows(path)
     names = _with_notes(names, rows)
     _check_names(path, names)
     columns = {name: [row[name] for _, row in rows] for name in names if name != "displacement_mm"}
@@ -176,10 +176,15 @@ def read_rig_log(path: Path, problems: RowProblems) -> RigLog:
     )
 
 
-def _rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]], tuple[str, ...]]:
+def read_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]], tuple[str, ...]]:
     """Column names, (line, fields by name) of each row, and the comments at the top.
 
     The comment before a row becomes its field ``#``.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds no rows, or some of another length.
     """
     bytes_max = 1 << 28  # a log of days; a larger one is something else
     try:
