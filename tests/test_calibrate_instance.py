@@ -461,7 +461,7 @@ def test_the_spread_that_few_contacts_show() -> None:
 def test_intervals_hold_what_they_state_for_prints_that_scatter_as_the_prior() -> None:
     prior, count = SETTINGS.spread_prior[0], 3
     rng, inside = np.random.default_rng(0), []
-    for _ in range(4000):
+    for _ in range(1000):
         log = rng.normal(rng.normal(0.0, LOCATOR.stiffness_sd), prior, count + 1)
         error = log[:count] - np.median(log[:count])
         share = spread_with_prior(error, np.full(count, 0.005), np.arange(count))

@@ -42,6 +42,7 @@ PARSED = {
     "inspect": "needs a photo; tests/test_inspect.py",
     "serve": "needs a camera; tests/test_cli_serve.py",
     "calibrate": "needs measurements; tests/test_calibrate_cli.py",
+    "calibrate-instance": "needs a camera; tests/test_calibrate_instance.py",
     "simulate": "minutes; tests/test_simulate.py",
     "tradeoff": "minutes; tests/study",
     "import": "needs a decoder of the rig; tests/simulation/test_rig.py",
