@@ -24,13 +24,18 @@ from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_design.cli import calibrate_instance_command
 from phytac_design.cli.app import app
 from phytac_design.cli.calibrate_instance_command import newtons
+from phytac_design.layout.sensor import Sensor
 from phytac_design.training.locator_calibration import SETTINGS, spread_with_prior
 from phytac_design.training.press_places import (
     next_press,
     pressable_receptors,
     remaining_covariance,
 )
-from phytac_design.workflows.calibrate_instance import InstanceCalibration
+from phytac_design.workflows.calibrate_instance import (
+    InstanceCalibration,
+    known_press,
+    press_samples,
+)
 from phytac_design.workflows.import_rig import import_rig
 from phytac_shapes.arrays import FloatArray
 from tests.refusals import refused
@@ -352,6 +357,24 @@ def test_presses_that_contradict_are_reported(bundle: Path, tmp_path: Path) -> N
     assert "more than prints differ" in soft.stderr
 
 
+def test_the_radius_of_presses_is_unknown_and_their_place_is_where_they_are_seen(
+    bundle: Path,
+) -> None:
+    calibrated = calibrate_rest(load_bundle(bundle), read_image(REST))
+    images = {number: read_image(FRAMES / f"frame_{number:04d}.jpg") for number in (3, 5)}
+    presses = [
+        known_press(calibrated, measure_frame(calibrated, image), FORCES[number])
+        for number, image in images.items()
+    ]
+    samples = press_samples(Sensor(DESIGN), calibrated, presses)
+    assert samples.touches is not None
+    assert not samples.touches.radius_mm.any()
+    places = [press.contact.point_mm for press in presses]
+    np.testing.assert_allclose(samples.touches.point_mm, places, atol=0.1)
+    assert samples.truth is not None
+    assert set(samples.truth.touch.tolist()) == {0, 1}
+
+
 def test_few_presses_keep_the_error_of_linear_tables(bundle: Path, tmp_path: Path) -> None:
     words = ("--table", str(table(tmp_path / "forces.csv")))
     assert run(bundle, tmp_path / "mine", *words).exit_code == 0
@@ -453,6 +476,16 @@ def test_the_spread_that_few_contacts_show() -> None:
     assert spread(0.0, 0.3, 9) > prior
     # Contradictory presses are not taken for a print as any other.
     assert spread(0.4, 0.01, 10) > 0.3
+    # Without noise it is the quantile of Student's distribution, and the factor's error besides.
+    for square, found in (
+        (1.5 * prior**2, spread(prior, 1e-9, 3)),  # of three errors about their own factor
+        (0.0, spread_with_prior(np.ones(3), np.full(3, 1e-9), np.arange(3), known=0.0)),
+    ):
+        share = 1.895 / 1.645 * np.sqrt((4.0 * prior**2 + 3.0 * square) / 7.0)
+        factor = 1.0 / (3.0 / (np.pi / 2.0 * share**2) + 1.0 / LOCATOR.stiffness_sd**2)
+        assert found == pytest.approx(np.sqrt(share**2 + factor), rel=2e-3)
+    # What the errors hold of noise is no spread.
+    assert spread(0.05, 0.04, 9) < 0.9 * spread(0.05, 0.001, 9)
     # A spread that was fitted counts as such.
     fitted = spread_with_prior(np.zeros(400), np.full(400, 0.001), np.arange(400), known=0.05)
     assert fitted == pytest.approx(0.05, rel=0.02)
