@@ -43,8 +43,8 @@ from phytac_design.training.training_data import DataSet
 from phytac_design.workflows.calibrate_instance import (
     KnownPress,
     calibrate_to_presses,
+    designed_locator,
     known_press,
-    untaught_locator,
 )
 from phytac_design.workflows.simulate import observe_rest
 from phytac_shapes.arrays import BoolArray, FloatArray
@@ -437,7 +437,7 @@ def _usable_presses(plain: Bundle, samples: Samples) -> list[KnownPress]:
 
 def _as_proposed(plain: Bundle, pool: list[KnownPress]) -> list[KnownPress]:
     """Presses in the order in which they would be proposed."""
-    radius_mm = untaught_locator(plain).places.radius_mm
+    radius_mm = designed_locator(plain).places.radius_mm
     left, out, pressed = list(pool), [], np.zeros((0, 3))
     while left:
         points = np.stack([press.contact.point_mm for press in left])

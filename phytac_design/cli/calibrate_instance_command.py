@@ -105,14 +105,14 @@ def calibrate_instance(
     from phytac_design.workflows.calibrate_instance import (
         TABLE,
         InstanceCalibration,
+        designed_locator,
         doubts,
-        untaught_locator,
     )
 
     loaded, decoder = load_design(design), load_bundle(bundle)
     check_rest_options(rest, rest_first)
     check_source_count(decoder, source)
-    untaught_locator(decoder)
+    designed_locator(decoder)
     _check_out_folder(out, bundle, source, force=force)
     for limit in decoder.limits("auto"):
         say(f"warning: {limit}")

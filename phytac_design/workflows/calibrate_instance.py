@@ -82,7 +82,7 @@ class KnownPress:
     warnings: Sequence[str] = ()
 
 
-def untaught_locator(bundle: Bundle) -> ContactLocator:
+def designed_locator(bundle: Bundle) -> ContactLocator:
     """Estimator ``auto`` of a decoder by design.
 
     Raises
@@ -198,7 +198,7 @@ def calibrate_to_presses(
         One at least.
     """
     samples = press_samples(sensor, bundle, presses)
-    plain = untaught_locator(bundle)
+    plain = designed_locator(bundle)
     fitted, facts = calibrate_locator(
         plain, samples, np.arange(samples.count), force_max_N=bundle.force_max_N
     )
@@ -279,7 +279,7 @@ class InstanceCalibration:
                 f"the decoder was built for another state of the design {bundle.design!r}; build "
                 f"{sensor.design.name!r} again, or name the design it was built from",
             )
-        untaught_locator(bundle)
+        designed_locator(bundle)
         self._sensor, self._out, self._rest = sensor, out, rest
         # With the shell's orientation and nothing else of the rest frame: each run takes its own.
         images = prepared_frames(bundle, rest)
@@ -291,7 +291,7 @@ class InstanceCalibration:
         pressed = pressed_note(measure_frame(self._plain, rest).koi)
         if pressed:
             raise InputError("rest-frame-pressed", f"{pressed}; give one of the unloaded sensor")
-        locator = untaught_locator(self._plain)
+        locator = designed_locator(self._plain)
         self._radius_mm = locator.places.radius_mm
         self._receptors = pressable_receptors(self._plain, locator)
         self._proposed: int | None = None
