@@ -31,6 +31,7 @@ from phytac_design.training.press_places import (
     pressable_receptors,
     remaining_covariance,
 )
+from phytac_design.workflows import calibrate_instance
 from phytac_design.workflows.calibrate_instance import (
     InstanceCalibration,
     known_press,
@@ -198,6 +199,14 @@ def test_the_end_of_the_answers_keeps_what_there_is(
     assert load_bundle(tmp_path / "mine").notes["instance"]["presses"] == 1
 
 
+def test_words_in_place_of_a_force(typed: Typed, tmp_path: Path) -> None:
+    done = typed([(3,), (3,), (5,), (5,)], "", "skip", "", "10.8", "", "undo", "", "done")
+    assert re.findall(r"press (\d) of 10", done.stderr) == list("1121")
+    assert "presses so far: 0" in done.stderr
+    with refused("no-presses"):
+        raise done.exception
+
+
 def test_undo_before_and_after_the_only_press(typed: Typed, tmp_path: Path) -> None:
     with refused("no-presses"):
         raise typed([(3,)], "undo", "", "10.8", "undo", "undo", "done").exception
@@ -283,6 +292,7 @@ def test_presses_of_no_use_are_left_out(
         ("frame;force_N\n3;9\n", "csv-columns"),
         ("frame,force_N\n3,10,8\n", "csv-row-length"),
         ("frame,force_N\n3,9\n5,12\n3,9\n", "frame-twice"),
+        ("frame,force_N\n3,9\nframe_0003,9\n", "frame-twice"),
         ("frame,force_N\n4,9\n", "no-presses"),
         ("frame,force_N\n", "csv-empty"),
         (None, "file-unreadable"),
@@ -350,7 +360,7 @@ def test_presses_that_contradict_are_reported(bundle: Path, tmp_path: Path) -> N
     path = table(tmp_path / "forces.csv", factor=1.0)
     even = json.loads(run(bundle, tmp_path / "even", "--table", str(path), "--json").stdout)
     assert not even["doubts"]
-    assert odd["auto"]["spread_share"] > 1.5 * even["auto"]["spread_share"]
+    assert odd["auto"]["spread_share"] > 1.3 * even["auto"]["spread_share"]
     assert odd["interval_share"] > even["interval_share"]
     path = table(tmp_path / "forces.csv", factor=1.6)
     soft = run(bundle, tmp_path / "soft", "--table", str(path))
@@ -373,6 +383,32 @@ def test_the_radius_of_presses_is_unknown_and_their_place_is_where_they_are_seen
     np.testing.assert_allclose(samples.touches.point_mm, places, atol=0.1)
     assert samples.truth is not None
     assert set(samples.truth.touch.tolist()) == {0, 1}
+
+
+def test_few_presses_keep_the_noise_of_the_design(bundle: Path, tmp_path: Path) -> None:
+    words = ("--table", str(table(tmp_path / "forces.csv")))
+    assert run(bundle, tmp_path / "mine", *words).exit_code == 0
+    before, after = (load_bundle(folder).model.locator for folder in (bundle, tmp_path / "mine"))
+    assert before is not None
+    assert after is not None
+    assert not after.noise.fitted
+    np.testing.assert_array_equal(after.noise.each_px, before.noise.each_px)
+    limits = load_bundle(tmp_path / "mine").limits("auto")
+    assert any("build with --accuracy standard" in limit for limit in limits)
+
+
+def test_a_turned_shell_is_refused(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its places would be those of the shell, and nothing would say so later."""
+    monkeypatch.setattr(
+        calibrate_instance,
+        "calibrate_rest",
+        lambda *words: replace(calibrate_rest(*words), turned_deg=60.0),
+    )
+    words = ("--table", str(table(tmp_path / "forces.csv")))
+    with refused("shell-turned"):
+        raise run(bundle, tmp_path / "mine", *words).exception
 
 
 def test_few_presses_keep_the_error_of_linear_tables(bundle: Path, tmp_path: Path) -> None:

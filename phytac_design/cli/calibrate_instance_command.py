@@ -121,7 +121,7 @@ def calibrate_instance(
         camera = None if table else _camera(stack, decoder, source, control)
         unloaded = _unloaded(decoder, camera, rest, rest_first)
         calibration = InstanceCalibration(Sensor(loaded), decoder, out, unloaded)
-        say(f"by design, forces are within ± {100.0 * calibration.interval_share:.0f} % (95 %)")
+        say(f"stiffness by design: ± {100.0 * calibration.interval_share:.0f} % (95 %)")
         if camera is not None:
             _add_asked(calibration, camera, decoder.force_max_N, presses or PRESSES, accuracy)
         elif table is not None:
@@ -228,8 +228,7 @@ def _check_out_folder(out: Path, bundle: Path, source: Sequence[str], *, force: 
         raise OutputError(
             "output-exists",
             f"{out} holds the presses of another run; choose another --out, or drop them with "
-            f"--force. (SOURCE {out}/frames --table {out}/{LOG} --rest {out}/frames/rest.png "
-            "calibrates by them.)",
+            f"--force; --table {out}/{LOG} calibrates by them (docs/guides/on-your-bench.md)",
         )
 
 
@@ -261,12 +260,12 @@ def _add_asked(
         try:
             if answer == "":
                 answer = _take(calibration, source)
-            elif answer == "skip":
+            if answer == "skip":
                 calibration.skip()
             elif answer == "undo":
                 calibration.undo()
                 say(f"presses so far: {len(calibration.presses)}")
-            elif answer != "done":
+            elif answer not in ("", "done"):
                 say("press Enter while you hold the press; or type skip, undo or done")
         except InputError as error:
             say(f"not taken: {error}")
@@ -281,7 +280,7 @@ def _take(calibration: "InstanceCalibration", source: "Source") -> str:
     Returns
     -------
     str
-        "done" if the answers have ended.
+        What was answered instead of a force: skip, undo or done; else "".
 
     Raises
     ------
@@ -305,9 +304,10 @@ def _take(calibration: "InstanceCalibration", source: "Source") -> str:
             "while it was looked at; hold still",
         )
     answer = _ask("what the scale reads (newtons; or 948 g, 0.95 kg, 2.1 lb):")
-    if answer not in ("done", "skip", ""):
-        _add(calibration, shots[len(shots) // 2], newtons(answer))
-    return answer
+    if answer in ("skip", "undo", "done"):
+        return answer
+    _add(calibration, shots[len(shots) // 2], newtons(answer))
+    return ""
 
 
 def _add_table(
@@ -336,8 +336,12 @@ def _add_table(
             "columns are separated by commas",
         )
     sources = [FrameFolder(Path(folder), None) for folder in folders]
-    lines = {row["frame"]: line for line, row in reversed(rows)}
-    twice = [line for line, row in rows if lines[row["frame"]] != line]
+    pictures = [sources[0].find(row["frame"]) for _, row in rows]
+    twice = [
+        line
+        for at, (line, _) in enumerate(rows)
+        if pictures[at] is not None and pictures[at] in pictures[:at]
+    ]
     if twice:
         raise InputError(
             "frame-twice",

@@ -49,7 +49,8 @@ class CalibrationSettings:
     """With few samples, the stiffness field is dropped if held-out forces scatter by more."""
     noise_change: tuple[float, float] = (0.25, 4.0)
     contacts_min: int = 10
-    """Contacts that a prior or a correction needs; fewer determine only the stiffness."""
+    """Contacts that a prior, a correction or the noise of markers needs; fewer determine only the
+    stiffness."""
     spread_prior: tuple[float, float] = (0.03, 4.0)
     """Spread of forces over their common factor before any contact is known, as a share of the
     force, and how many contacts it counts as. Eight simulated prints have 2.2 % (RMS, at most
@@ -204,10 +205,11 @@ def calibrate_locator(
     own = locator.noise.markers
     moved_px = own.moved_px if own else np.zeros(2 * samples.markers)
     markers, switched_px = estimate_marker_noise(seen, folds, moved_px)
-    may_px = locator.noise.centroid_px
-    noise = replace(plain.noise, centroid_px=may_px, markers=markers, fitted=True)
-    if switched_px is not None:
-        noise = replace(noise, switched_px=switched_px)
+    noise, few_known = locator.noise, len(known.row) < SETTINGS.contacts_min
+    if not few_known:
+        noise = replace(plain.noise, centroid_px=noise.centroid_px, markers=markers, fitted=True)
+        if switched_px is not None:
+            noise = replace(noise, switched_px=switched_px)
     plain = replace(plain, noise=noise)
     field = StiffnessField(seen, folds, known, design, plain.noise)
     again = _cross_validated(plain, field, 1.0, folds, samples, chosen, few)
@@ -217,6 +219,8 @@ def calibrate_locator(
             field, again = field.disabled(), even
     plain = replace(plain, places=apply_gain(field.table(), gain))
     plain, second = _rescaled(plain, again)
+    if few_known:
+        plain = replace(plain, noise=locator.noise)
     matches = _cross_validated(plain, field, second, folds, samples, chosen, chosen)
     box = plain.position_mm
     correction = ForceCorrection.plain(

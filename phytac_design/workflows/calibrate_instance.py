@@ -19,11 +19,10 @@ from phytac_decoder.estimation.locator import SETTINGS as LOCATOR
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.estimation.place_average import INTERVAL_SDS
 from phytac_decoder.io.bundle import Bundle, save_bundle
-from phytac_decoder.pipeline.colour_calibration import calibrate_rest, calibrated_colours
-from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame, prepared_frames
+from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame
 from phytac_decoder.pipeline.frame_reading import nearest_marker, read
 from phytac_decoder.pipeline.rest_frames import pressed_note
-from phytac_decoder.pipeline.shell_turn import oriented
 from phytac_design.core.json_values import finite
 from phytac_design.datasets.samples import Samples
 from phytac_design.design.design_file import design_hash
@@ -281,13 +280,14 @@ class InstanceCalibration:
             )
         designed_locator(bundle)
         self._sensor, self._out, self._rest = sensor, out, rest
-        # With the shell's orientation and nothing else of the rest frame: each run takes its own.
-        images = prepared_frames(bundle, rest)
-        colours = calibrated_colours(bundle, images)
-        self._base = replace(
-            oriented(replace(bundle, colours=colours), images), colours=bundle.colours
-        )
-        self._plain = self.calibrated = calibrate_rest(bundle, rest)
+        self._base, self._plain = bundle, calibrate_rest(bundle, rest)
+        self.calibrated = self._plain
+        if self._plain.turned_deg != bundle.turned_deg:
+            raise InputError(
+                "shell-turned",
+                f"the shell sits turned by {self._plain.turned_deg:g} degrees about the axis; mount "
+                "it as the design has it, so that places are those of the holder, and start again",
+            )
         pressed = pressed_note(measure_frame(self._plain, rest).koi)
         if pressed:
             raise InputError("rest-frame-pressed", f"{pressed}; give one of the unloaded sensor")
@@ -301,11 +301,9 @@ class InstanceCalibration:
 
     @property
     def interval_share(self) -> float:
-        """Half the 95 % interval of a press over its force, the median; by design without one."""
-        if not self.presses:
-            return INTERVAL_SDS * LOCATOR.stiffness_sd
+        """Half the 95 % interval of a press over its force, median; without any the stiffness's."""
         shares = stated_shares(self.calibrated, self.presses)
-        return float(np.median(shares)) if len(shares) else np.inf
+        return float(np.median(shares)) if len(shares) else INTERVAL_SDS * LOCATOR.stiffness_sd
 
     def proposal(self) -> str:
         """Say where to press next."""
@@ -425,7 +423,8 @@ class InstanceCalibration:
     def _remove_old(self) -> None:
         """Remove what an earlier run has left."""
         (self._out / TABLE).unlink(missing_ok=True)
-        for folder in self._folders:
+        for suffix in CAMERA_SUFFIXES:
+            folder = self._out / f"{FRAMES}{suffix}"
             for path in (*folder.glob("press_*.png"), folder / "rest.png"):
                 path.unlink(missing_ok=True)
             with suppress(OSError):  # it is not there, or the user keeps something in it

@@ -95,7 +95,7 @@ def _table_limits(locator: ContactLocator | None) -> list[str]:
     if locator.as_if_linear and error > LINEAR_ERROR_MAX:
         share = "more than 100" if error > 1.0 else f"up to {100.0 * error:.0f}"
         cause, cure = "accuracy draft", "build with --accuracy standard"
-        if locator.correction is not None:
+        if fitted and len(fitted.weight):  # from ten contacts on
             cause = "its data were simulated by linear theory"
             cure = "train on data that were simulated with --displacement auto, or measured"
         out.append(
