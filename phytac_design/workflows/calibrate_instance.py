@@ -286,7 +286,7 @@ class InstanceCalibration:
             raise InputError(
                 "shell-turned",
                 f"the shell sits turned by {self._plain.turned_deg:g} degrees about the axis; mount "
-                "it as the design has it, so that places are those of the holder, and start again",
+                "it as the design has it, so that places are right, and start again",
             )
         pressed = pressed_note(measure_frame(self._plain, rest).koi)
         if pressed:
