@@ -285,8 +285,8 @@ class InstanceCalibration:
         if self._plain.turned_deg != bundle.turned_deg:
             raise InputError(
                 "shell-turned",
-                f"the shell sits turned by {self._plain.turned_deg:g} degrees about the axis; mount "
-                "it as the design has it, so that places are right, and start again",
+                f"the shell sits turned by {self._plain.turned_deg:g} degrees about the axis; "
+                "mount it as the design has it, so that places are right, and start again",
             )
         pressed = pressed_note(measure_frame(self._plain, rest).koi)
         if pressed:
