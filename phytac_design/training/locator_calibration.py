@@ -51,6 +51,8 @@ class CalibrationSettings:
     contacts_min: int = 10
     """Contacts that a prior, a correction or the noise of markers needs; fewer determine only the
     stiffness."""
+    spread_contacts_min: int = 100
+    """Contacts that show the spread of forces without a prior."""
     spread_prior: tuple[float, float] = (0.03, 4.0)
     """Spread of forces over their common factor before any contact is known, as a share of the
     force, and how many contacts it counts as. Eight simulated prints have 2.2 % (RMS, at most
@@ -239,12 +241,7 @@ def calibrate_locator(
             truth_N=matches.truth_N,
             block=press_blocks(samples, matches.touch),
         )
-    share = spread_with_prior(
-        np.log(matches.truth_N / matches.force_N),
-        correction.spread * matches.sd_N / matches.force_N,
-        press_blocks(samples, matches.touch),
-        known=correction.spread_share if fitted else None,
-    )
+    share = _spread_share(correction, matches, press_blocks(samples, matches.touch), fitted=fitted)
     correction = replace(correction, stiffness=first * second, spread_share=share)
     facts = {
         "contacts": len(matches.force_N),
@@ -286,6 +283,21 @@ def press_blocks(samples: Samples, touch: IntArray) -> IntArray:
     several = np.isin(samples.sequence[sample], sequence[count > 1])
     alone = -1 - np.arange(len(touch))
     return np.where(several, samples.sequence[sample], alone)
+
+
+def _spread_share(
+    correction: ForceCorrection, matches: ContactMatches, block: IntArray, *, fitted: bool
+) -> float:
+    """Return the spread of forces as a share of the force, with a prior where contacts are few."""
+    share = correction.spread_share
+    if len(matches.force_N) >= SETTINGS.spread_contacts_min:
+        return share
+    return spread_with_prior(
+        np.log(matches.truth_N / matches.force_N),
+        correction.spread * matches.sd_N / matches.force_N,
+        block,
+        known=share if fitted else None,
+    )
 
 
 def spread_with_prior(
