@@ -207,6 +207,18 @@ def test_words_in_place_of_a_force(typed: Typed, tmp_path: Path) -> None:
         raise done.exception
 
 
+def test_the_folder_of_the_result_may_be_that_of_the_shell(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A camera's number is no path below it."""
+    monkeypatch.chdir(tmp_path)
+    camera = FakeCamera((3,), (3,))
+    monkeypatch.setattr(calibrate_instance_command, "open_frames", lambda *_, **__: camera)
+    done = run(bundle, Path(), source=Path("0"), typed="\n10.8\ndone\n")
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "bundle.json").is_file()
+
+
 def test_undo_before_and_after_the_only_press(typed: Typed, tmp_path: Path) -> None:
     with refused("no-presses"):
         raise typed([(3,)], "undo", "", "10.8", "undo", "undo", "done").exception

@@ -220,7 +220,8 @@ def _check_out_folder(out: Path, bundle: Path, source: Sequence[str], *, force: 
     from phytac_design.workflows.calibrate_instance import LOG
 
     whole = out.resolve()
-    if whole == bundle.resolve() or any(whole in Path(where).resolve().parents for where in source):
+    folders = [Path(where).resolve() for where in source if Path(where).is_dir()]
+    if whole == bundle.resolve() or any(whole in folder.parents for folder in folders):
         raise OutputError(
             "output-holds-source", f"{out} holds what is to be read; choose another --out"
         )
