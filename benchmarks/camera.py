@@ -120,7 +120,7 @@ class Bench:
         if trained:
             name, job = training_of(design, presses)
             samples, meta = data_set(name, job)
-            self.bundle = learnt(self.bundle, set_of(name, samples, meta), shear=True)
+            self.bundle = learnt(self.context, self.bundle, set_of(name, samples, meta), shear=True)
         self.pressed: FrameContacts = draw_frame_contacts(self.context)
         self.scenes = PressedScene(self.context.sensor, self.context.sensor.cameras[0])
 

@@ -106,7 +106,7 @@ def add_rows_accuracy(table: Table, *, quick: bool) -> None:
     each = []
     for number, case in enumerate(units(quick=quick)):
         here = bench(case)
-        bundle, facts = train_decoder(here.plain, here.train)
+        bundle, facts = train_decoder(here.context, here.plain, here.train)
         judged = here.judged(bundle)
         full = number == 0 and not quick
         _count_row(table, here, judged, target=full)
@@ -142,7 +142,7 @@ def _pairs_rows(table: Table, here: UnitDecoder, judged: Evaluation) -> None:
     assert locator is not None
     alone = replace(locator, places=replace(locator.places, pairs=None))
     plain = replace(here.plain, model=replace(model, locator=alone))
-    bundle, _ = train_decoder(plain, here.train, names=("auto",))
+    bundle, _ = train_decoder(here.context, plain, here.train, names=("auto",))
     without = here.judged(bundle, names=("auto",))
     for group in (MIDDLE, SINGLE, SEVERAL, RIMS):
         mask = judged.group(*group)
@@ -203,7 +203,7 @@ def add_rows_few(table: Table, *, quick: bool) -> None:
         # A point of the curve is the mean of three draws.
         for draw in range(1 if quick or count == most else 3):
             data = random_subset(here.train, count, seed=draw)
-            bundle, _ = train_decoder(here.plain, data, names=CURVE, seed=draw)
+            bundle, _ = train_decoder(here.context, here.plain, data, names=CURVE, seed=draw)
             draws.append(here.judged(bundle, names=CURVE))
         for name in CURVE:
             _curve_rows(table, here, name, count, draws, errors)
@@ -246,11 +246,11 @@ def add_rows_other_unit(table: Table, *, quick: bool) -> None:
     """Decoders on prints that they have never seen, and with a few samples of these."""
     first, *others = units(quick=quick)
     home = bench(first)
-    bundle, _ = train_decoder(home.plain, home.train)
+    bundle, _ = train_decoder(home.context, home.plain, home.train)
     for case in others:
         here = bench(case)
         few = random_subset(here.train, CALIBRATION, seed=0)
-        again, _ = train_decoder(here.plain, few, start=bundle)
+        again, _ = train_decoder(here.context, here.plain, few, start=bundle)
         ways: tuple[tuple[str, Bundle, Sequence[str]], ...] = (
             ("by design alone", here.plain, ("fem", "koi_inverse", "auto")),
             (f"trained on unit {first.job.scenario.unit.number}", bundle, LEARNT),

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import assemble_bundle, untrained_model
+from phytac_design.stages.places_stage import uneven_wall_of
 from phytac_design.training.evaluation.contact_scores import Bootstrap, interval_coverage
 from phytac_design.training.evaluation.decoded_contacts import DecodedContacts, decode_contacts
 from phytac_design.training.evaluation.groups import Groups, contact_positions, groups_of
@@ -51,6 +52,7 @@ def by_design(context: Context) -> Bundle:
 
 
 def train_decoder(
+    context: Context,
     plain: Bundle,
     data: DataSet,
     *,
@@ -84,6 +86,7 @@ def train_decoder(
             seed=seed,
             start=start if start is not None and name in start.model.networks else None,
             receptors=receptors,
+            wall=partial(uneven_wall_of, context),
         )
         model, found = trainer(task)
         bundle = replace(bundle, model=model)

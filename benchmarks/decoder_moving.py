@@ -147,7 +147,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
     here = bench(first)
     film = DataSetSpec(name="stroke", job=job(first.job.design, quick=quick), train=0)
     samples, _ = data_set(film.name, film.job)
-    bundle, _ = train_decoder(here.plain, here.train, names=("auto",))
+    bundle, _ = train_decoder(here.context, here.plain, here.train, names=("auto",))
     head = f"{first.job.design.name} unit 1, five fingers at 480 fps"
     true_N = (forces()[:: FRAMES // 8] if quick else forces()).sum(axis=1)
     for name, model in (("by design", here.plain), ("trained", bundle)):

@@ -153,7 +153,7 @@ def add_rows_referee(table: Table, *, quick: bool) -> None:
         if quick:
             continue
         case = nominal(design)
-        bundle, _ = train_decoder(plain, case.parts()[0])
+        bundle, _ = train_decoder(context, plain, case.parts()[0])
         again = evaluate_decoder(context, bundle.model, data, estimators=LEARNT)
         add_scores(table, f"{head}, trained on the twin's {case.name}", again, FULL, source=SOURCE)
         add_claims(table, f"{head}, trained on the twin's {case.name}", again.claims, target=False)
@@ -165,7 +165,7 @@ def after_own(context: Context, plain: Bundle, data: DataSet) -> Iterator[Evalua
     count = data.samples.count
     order = np.random.default_rng(6).permutation(count)
     for own in np.array_split(order, round(count / OWN)):
-        bundle, _ = train_decoder(plain, chosen(data, own), names=("auto",))
+        bundle, _ = train_decoder(context, plain, chosen(data, own), names=("auto",))
         others = chosen(data, np.setdiff1d(order, own))
         yield evaluate_decoder(context, bundle.model, others, estimators=("auto",))
 

@@ -30,7 +30,7 @@ def add_rows_shapes(table: Table, *, quick: bool) -> None:
     names = [name for name in shipped_designs() if name != "cylinder60-dense"]
     for name in names[:1] if quick else names:
         here = bench(of_shape(name, quick=quick))
-        bundle, _ = train_decoder(here.plain, here.train)
+        bundle, _ = train_decoder(here.context, here.plain, here.train)
         judged = here.judged(bundle)
         add_scores(table, here.head, judged, FULL, targets=SHAPE_TARGETS)
         add_bounds(table, here.head, judged, target=None)
@@ -42,7 +42,7 @@ def add_rows_shapes(table: Table, *, quick: bool) -> None:
 def add_rows_cycles(table: Table, *, quick: bool) -> None:
     """What creep and a fading light do to a decoder that was trained on an elastic wall."""
     home = bench(units(quick=quick)[0])
-    bundle, _ = train_decoder(home.plain, home.train)
+    bundle, _ = train_decoder(home.context, home.plain, home.train)
     case = cycles(quick=quick)
     _, data = case.parts()
     here = UnitDecoder(

@@ -36,6 +36,8 @@ from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
+from phytac_design.stages.places_stage import uneven_wall_of
 from phytac_design.training.evaluation.contact_scores import interval_coverage
 from phytac_design.training.locator_calibration import calibrate_locator
 from phytac_design.training.press_places import next_press
@@ -133,14 +135,20 @@ class Sheared:
     inside: BoolArray
 
 
-def learnt(plain: Bundle, data: DataSet, *, shear: bool) -> Bundle:
+def learnt(context: Context, plain: Bundle, data: DataSet, *, shear: bool) -> Bundle:
     """Decoder that learnt from data, with or without tables of force along the surface."""
     locator = plain.model.locator
     assert locator is not None
     if not shear:
         locator = replace(locator, places=replace(locator.places, shear=None))
     rows = np.arange(data.samples.count)
-    fitted, _ = calibrate_locator(locator, data.samples, rows, force_max_N=plain.force_max_N)
+    fitted, _ = calibrate_locator(
+        locator,
+        data.samples,
+        rows,
+        force_max_N=plain.force_max_N,
+        wall=partial(uneven_wall_of, context),
+    )
     return replace(plain, model=replace(plain.model, locator=fitted))
 
 
@@ -185,7 +193,7 @@ def add_friction(table: Table, *, quick: bool) -> None:
     squarely: dict[bool, float] = {}
     for source, (training, _) in sets.items():
         for shear in (True, False):
-            bundle = learnt(plain, random_subset(training, train, seed=0), shear=shear)
+            bundle = learnt(context, plain, random_subset(training, train, seed=0), shear=shear)
             for target, (_, held_out) in sets.items():
                 judged = evaluate_decoder(context, bundle.model, held_out, estimators=["auto"])
                 what = "" if shear else ", force along the surface taken as 0"
@@ -266,7 +274,7 @@ def add_elsewhere(table: Table, *, quick: bool) -> None:
     job = job_of(design, unit=1, samples=total, accuracy=accuracy, touch=touch, solve=solve)
     training, _ = DataSetSpec(name=f"hands-{design.name}-0.8", job=job, train=train).parts()
     context = mechanics(design, accuracy)
-    bundle = learnt(by_design(context), random_subset(training, train, seed=0), shear=True)
+    bundle = learnt(context, by_design(context), random_subset(training, train, seed=0), shear=True)
     bundle = replace(bundle, learnt_rest_px=_rest_px(design, (SEED, 1), accuracy)[None])
     for name, case in _elsewhere(design).items():
         judged = []
@@ -394,7 +402,7 @@ def add_presses(table: Table, *, quick: bool) -> None:
     design = small_design() if quick else load_design("cylinder60")
     solve: dict[str, object] = {"displacement": "linear"} if quick else {}
     context = mechanics(design, accuracy)
-    plain = by_design(context)
+    plain, shell = by_design(context), uneven_wall_of(context)
     judged: dict[tuple[str, int], list[Evaluation]] = {}
     for number in range(2 if quick else PRINTS):
         seed = SEED + 1 + number
@@ -412,7 +420,9 @@ def add_presses(table: Table, *, quick: bool) -> None:
         for how, order in (("at random", drawn), ("where proposed", _as_proposed(plain, pool))):
             for count in PRESSES[:1] if quick else PRESSES:
                 known = order[:count]
-                cases[how, len(known)], _ = calibrate_to_presses(context.sensor, plain, known)
+                cases[how, len(known)], _ = calibrate_to_presses(
+                    context.sensor, plain, known, wall=lambda: shell
+                )
         for case, bundle in cases.items():
             one = evaluate_decoder(context, bundle.model, sets[1], estimators=["auto"])
             judged.setdefault(case, []).append(one)

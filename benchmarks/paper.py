@@ -154,8 +154,9 @@ def _rows_of_print(
     samples, meta = data_set(spec.name, spec.job)
     whole = set_of(spec.name, samples, meta)
     mine = chosen(whole, np.arange(count))
-    receptors = partial(receptor_table_of, _mechanics(quick=quick))
-    bundle, facts = train_decoder(plain, mine, names=NETWORKS, receptors=receptors)
+    context = _mechanics(quick=quick)
+    receptors = partial(receptor_table_of, context)
+    bundle, facts = train_decoder(context, plain, mine, names=NETWORKS, receptors=receptors)
     parts = split_data_sets([mine], plain.model, noise_px=plain.noise_centroid_px, seed=0)
     assert parts[2].samples is not None
     further = select_samples(samples, np.arange(count, samples.count))
@@ -180,7 +181,8 @@ def _rows_of_print(
     _add(table, case, unmeasured["koi_inverse"], "")
     if not linear:
         assert parts[0].samples is not None
-        locating = learnt_contacts(plain, replace(mine, samples=parts[0].samples), shear=True)
+        training = replace(mine, samples=parts[0].samples)
+        locating = learnt_contacts(context, plain, training, shear=True)
         _add(table, f"{name}: auto, learnt", scores(locating.model, test, ("auto",))["auto"], "")
     if route == "points":
         _rows_elsewhere(table, plain, bundle, learnt, make, unit=unit, name=name, quick=quick)
@@ -214,7 +216,7 @@ def _rows_elsewhere(
     elsewhere = set_of(spec.name, samples, meta)
     parts = split_data_sets([elsewhere], plain.model, noise_px=plain.noise_centroid_px, seed=0)
     assert parts[2].samples is not None
-    trained = train_decoder(plain, elsewhere, names=NETWORKS)[0]
+    trained = train_decoder(_mechanics(quick=quick), plain, elsewhere, names=NETWORKS)[0]
     on_platform = scores(trained.model, parts[2].samples, ("fem_nn",))["fem_nn"]
     _add(table, f"{name}, platform: fem_nn, trained there", on_platform, "")
     ratio = glove["fem_nn"].relative / on_platform.relative

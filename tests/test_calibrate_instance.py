@@ -25,6 +25,7 @@ from phytac_design.cli import calibrate_instance_command
 from phytac_design.cli.app import app
 from phytac_design.cli.calibrate_instance_command import newtons
 from phytac_design.layout.sensor import Sensor
+from phytac_design.training import locator_calibration
 from phytac_design.training.locator_calibration import SETTINGS, spread_with_prior
 from phytac_design.training.press_places import (
     next_press,
@@ -92,6 +93,56 @@ def test_a_stiffer_print_is_read_right_and_with_narrower_intervals(
         assert after.sd_N > 0.03 * after.force_N
     assert calibrated.notes["instance"]["presses"] == 3
     assert len(calibrated.learnt_rest_px) == 1
+
+
+def few_show_the_wall(monkeypatch: pytest.MonkeyPatch, solver: Callable[..., None]) -> None:
+    """Three presses are enough for the thickness of the wall, which ``solver`` is asked for."""
+    for module in (calibrate_instance, locator_calibration):
+        monkeypatch.setattr(module, "UNEVEN", replace(module.UNEVEN, samples_min=3))
+    monkeypatch.setattr(calibrate_instance, "designed_wall", solver)
+
+
+def test_the_wall_is_fitted_once_at_the_end(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    few_show_the_wall(monkeypatch, lambda design, _: asked.append(design.name))
+    few = run(bundle, tmp_path / "few", "--table", str(table(tmp_path / "two.csv", (2, 3))))
+    assert few.exit_code == 0, few.output
+    assert not asked
+    enough = run(bundle, tmp_path / "enough", "--table", str(table(tmp_path / "three.csv")))
+    assert enough.exit_code == 0, enough.output
+    assert asked == [DESIGN.name]
+    assert "the thickness of the wall" in enough.output
+
+
+def test_stopping_leaves_the_wall_out_and_keeps_the_presses(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    few_show_the_wall(monkeypatch, stop)
+    done = run(bundle, tmp_path / "mine", "--table", str(table(tmp_path / "forces.csv")), "--json")
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout)
+    assert facts["presses"] == 3
+    assert facts["auto"]["wall"] is None
+    assert facts["auto"]["stiffness"] == pytest.approx(STIFFER, rel=0.06)
+
+
+def test_the_wall_of_the_design_is_at_hand(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sensor of the pictures is even: presses on it show no other thickness."""
+    few_show_the_wall(monkeypatch, calibrate_instance.designed_wall)
+    done = run(bundle, tmp_path / "mine", "--table", str(table(tmp_path / "forces.csv")), "--json")
+    assert done.exit_code == 0, done.output
+    wall = json.loads(done.stdout)["auto"]["wall"]
+    assert wall is None or 0.95 < wall["thinnest"] < wall["thickest"] < 1.05
+    found = calibrate_instance.designed_wall(DESIGN, lambda _: None)
+    assert found is not None
+    assert len(found.see.slope) == load_bundle(bundle).rest_px.shape[0]
 
 
 def test_other_prints_are_noticed(bundle: Path, tmp_path: Path) -> None:

@@ -60,8 +60,9 @@ def here(own_cache: None, tmp_path_factory: pytest.TempPathFactory) -> UnitDecod
 @pytest.fixture(scope="module")
 def judged(here: UnitDecoder) -> Evaluation:
     """A decoder that learnt from them, judged on the others."""
-    bundle, facts = train_decoder(here.plain, here.train)
+    bundle, facts = train_decoder(here.context, here.plain, here.train)
     assert set(facts) == {"mechanics", "fem_nn", "fem_nn_identity", "auto"}
+    assert facts["auto"]["wall"]["thinnest"] < 1.0 < facts["auto"]["wall"]["thickest"]
     return here.judged(bundle)
 
 

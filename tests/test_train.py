@@ -114,6 +114,18 @@ def networks_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(train_decoder, "TRAINERS", chosen)
 
 
+def test_the_wall_of_the_design_is_handed_to_the_trainer(
+    learn: Callable[..., Path], little: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(
+        train_decoder, "uneven_wall_of", lambda context: asked.append(context.design.name)
+    )
+    out = learn(little)
+    assert asked == [DESIGN.name]
+    assert json.loads((out / TABLE).read_text())["trainers"]["auto"]["wall"] is None
+
+
 @pytest.mark.usefixtures("networks_alone")
 def test_a_decoder_is_trained_and_better_than_the_mechanics_alone(
     learn: Callable[..., Path], context: Context

@@ -5,6 +5,7 @@ import re
 import shlex
 import signal
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -106,6 +107,7 @@ def calibrate_instance(
         TABLE,
         InstanceCalibration,
         designed_locator,
+        designed_wall,
         doubts,
     )
 
@@ -122,12 +124,19 @@ def calibrate_instance(
         unloaded = _unloaded(decoder, camera, rest, rest_first)
         calibration = InstanceCalibration(Sensor(loaded), decoder, out, unloaded)
         say(f"stiffness by design: ± {100.0 * calibration.interval_share:.0f} % (95 %)")
+        finished = True
         if camera is not None:
-            _add_asked(calibration, camera, decoder.force_max_N, presses or PRESSES, accuracy)
+            finished = _add_asked(
+                calibration, camera, decoder.force_max_N, presses or PRESSES, accuracy
+            )
         elif table is not None:
             _add_table(calibration, table, source, presses, accuracy)
         if not calibration.presses:
             raise InputError("no-presses", "no press was taken, so that nothing is calibrated")
+        if finished and calibration.shows_wall:
+            say("the thickness of the wall, by all presses (Ctrl-C leaves it out)")
+            with contextlib.suppress(KeyboardInterrupt):
+                calibration.fit_wall(partial(designed_wall, loaded, say))
         facts = calibration.save()
     for doubt in doubts(calibration.presses):
         say(f"warning: {doubt}")
@@ -139,6 +148,9 @@ def calibrate_instance(
         f"of the design; forces of such presses within ± {100.0 * facts['interval_share']:.1f} % "
         "(95 %, median)"
     )
+    if facts["auto"]["wall"]:
+        thin, thick = (facts["auto"]["wall"][name] for name in ("thinnest", "thickest"))
+        typer.echo(f"its wall: {thin:.2f} to {thick:.2f} times the designed thickness")
     if table is None:
         next_step(f"phytac live {shlex.join([str(out), *source])} --rest-first {REST_FRAMES}")
     else:
@@ -249,8 +261,14 @@ def _add_asked(
     force_max_N: float,
     presses: int,
     accuracy: float,
-) -> None:
-    """Propose presses and ask for their forces, until there are enough or the user stops."""
+) -> bool:
+    """Propose presses and ask for their forces, until there are enough or the user is done.
+
+    Returns
+    -------
+    bool
+        False if the user stopped the program.
+    """
     answer = ""
     while answer != "done" and _wanted(calibration, presses, accuracy):
         say(
@@ -272,7 +290,8 @@ def _add_asked(
             say(f"not taken: {error}")
         except KeyboardInterrupt:
             say("stopped")
-            return
+            return False
+    return True
 
 
 def _take(calibration: "InstanceCalibration", source: "Source") -> str:

@@ -131,7 +131,7 @@ class DiscResponse:
         NumericalError
             If linear theory fails.
         """
-        loads = self._loads(uv, radius_mm, (0.0, 0.0))
+        loads = self.loads(uv, radius_mm, (0.0, 0.0))
         return loads, self._solve(loads)
 
     def sheared(self, uv: FloatArray, radius_mm: float) -> list[list[FloatArray]]:
@@ -144,9 +144,9 @@ class DiscResponse:
         NumericalError
             If linear theory fails.
         """
-        pressed = self._loads(uv, radius_mm, (0.0, 0.0))
+        pressed = self.loads(uv, radius_mm, (0.0, 0.0))
         motions = [
-            self._solve(self._loads(uv, radius_mm, friction) - pressed)
+            self._solve(self.loads(uv, radius_mm, friction) - pressed)
             for friction in ((1.0, 0.0), (0.0, 1.0))
         ]
         return [
@@ -154,7 +154,8 @@ class DiscResponse:
             for k in range(len(uv))
         ]
 
-    def _loads(self, uv: FloatArray, radius_mm: float, friction: tuple[float, float]) -> FloatArray:
+    def loads(self, uv: FloatArray, radius_mm: float, friction: tuple[float, float]) -> FloatArray:
+        """Return loads (6N, c) of a newton on discs at places (c, 2), with friction over it."""
         count = len(uv)
         touches = Contacts.flat(
             sample=np.arange(count),

@@ -29,6 +29,7 @@ from phytac_design.stages.response_stage import (
     decoder_shell,
     image_response_of,
 )
+from phytac_design.training.uneven_wall import UnevenWall
 from phytac_shapes.arrays import IntArray
 
 EXTRAPOLATED_REFINE_MIN = 3
@@ -175,6 +176,17 @@ def receptor_table_of(
         radius_mm,
         progress=context.progress,
     )
+
+
+def uneven_wall_of(context: Context) -> UnevenWall | None:
+    """The decoder's own shell, for the thickness of a print; None where it is too large."""
+    mesh, model, _ = decoder_shell(context)
+    if not UnevenWall.fits_in_memory(model, context.markers.count):
+        return None
+    shell = DiscResponse(
+        context.design, context.surface, context.markers, mesh=mesh, model=model, orders=1
+    )
+    return UnevenWall(shell, image_response_of(context))
 
 
 PLACES = Stage(

@@ -22,6 +22,8 @@ from phytac_design.datasets.samples import FAILED, Samples, TouchRows
 from phytac_design.training.force_correction_fit import fit_correction
 from phytac_design.training.marker_gain import (
     CrossValidationFold,
+    KnownContacts,
+    PredictionResiduals,
     apply_gain,
     cross_validation_folds,
     estimate_marker_noise,
@@ -29,6 +31,8 @@ from phytac_design.training.marker_gain import (
     predict_residuals,
 )
 from phytac_design.training.stiffness_field import StiffnessField
+from phytac_design.training.uneven_wall import SETTINGS as UNEVEN
+from phytac_design.training.uneven_wall import WallSolver
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
@@ -161,6 +165,66 @@ def matches_by_switch(
     return out
 
 
+@dataclass(frozen=True, kw_only=True)
+class _OwnWall:
+    """Tables of a print's own wall.
+
+    Attributes
+    ----------
+    locator : ContactLocator
+        With them.
+    seen, known : PredictionResiduals, KnownContacts
+        What they leave of the samples.
+    stiffness : float
+        Of the print over that before.
+    facts : dict, optional
+        Thickness; None where the wall is taken as even.
+    """
+
+    locator: ContactLocator
+    seen: PredictionResiduals
+    known: KnownContacts
+    stiffness: float = 1.0
+    facts: dict[str, float] | None = None
+
+
+def _fit_own_wall(
+    plain: ContactLocator,
+    wall: WallSolver | None,
+    samples: Samples,
+    chosen: IntArray,
+    stiffness: float,
+) -> _OwnWall:
+    """Fit the thickness of the wall to samples (k,), by tables of a print so stiff.
+
+    The wall is even without its shell, and where samples do not show it to be uneven.
+    """
+    moments = _moments(plain, samples)
+    seen, known = predict_residuals(plain, samples, chosen, moments)
+    even = _OwnWall(locator=plain, seen=seen, known=known)
+    if wall is None or len(np.unique(known.row)) < UNEVEN.samples_min:
+        return even
+    shell = wall()
+    if shell is None:
+        return even
+    touches, *_ = samples.points()
+    thickness = shell.fit(
+        seen,
+        known,
+        touches,
+        samples.sequence[chosen],
+        stiffness=stiffness,
+        radius_mm=plain.places.radius_mm,
+        rest_px=plain.noise.median_px,
+    )
+    if thickness is None:
+        return even
+    factor = 1.0 / thickness.common
+    uneven = replace(plain, places=shell.table(plain.places, thickness).scaled(factor))
+    seen, known = predict_residuals(uneven, samples, chosen, moments)
+    return _OwnWall(locator=uneven, seen=seen, known=known, stiffness=factor, facts=thickness.facts)
+
+
 def calibrate_locator(
     locator: ContactLocator,
     samples: Samples,
@@ -168,6 +232,7 @@ def calibrate_locator(
     *,
     force_max_N: float,
     seed: int = 0,
+    wall: WallSolver | None = None,
 ) -> tuple[ContactLocator, dict[str, Any]]:
     """Fit a locator to its sensor; return it with figures of the fit.
 
@@ -183,6 +248,8 @@ def calibrate_locator(
         Largest force that the sensor is designed for.
     seed : int
         Seed of the draw of the samples that stiffness and noise are fitted to.
+    wall : WallSolver, optional
+        The design's shell, whose thickness is fitted; without it the wall is taken as even.
 
     Raises
     ------
@@ -201,7 +268,9 @@ def calibrate_locator(
         matches = match_contacts(plain, samples, few[: SETTINGS.first_samples])
         plain, factor = _rescaled(plain, matches)
         first *= factor
-    seen, known = predict_residuals(plain, samples, chosen, _moments(plain, samples))
+    own_wall = _fit_own_wall(plain, wall, samples, chosen, first)
+    plain, seen, known = own_wall.locator, own_wall.seen, own_wall.known
+    first *= own_wall.stiffness
     gain, design = fit_gains(seen), plain.places
     folds = cross_validation_folds(seen, SETTINGS.folds, samples.sequence[chosen])
     own = locator.noise.markers
@@ -248,6 +317,7 @@ def calibrate_locator(
         "stiffness": correction.stiffness,
         "gain": float(np.sqrt(np.mean(gain**2))),
         "uneven": field.enabled,
+        "wall": own_wall.facts,
         "noise_px": float(np.sqrt(np.mean(plain.noise.each_px**2))),
         "switched_px": plain.noise.switched_px,
         "place_mm": plain.prior.place_mm,

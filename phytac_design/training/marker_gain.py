@@ -50,9 +50,12 @@ class KnownContacts:
         Centre.
     linear_N : (c,) float
         Force by which a linear wall would move the markers as far.
+    touch : (c,) int
+        Row of the contact in the samples' touches.
     """
 
     row: IntArray
+    touch: IntArray
     point_mm: FloatArray
     linear_N: FloatArray
 
@@ -121,7 +124,7 @@ def predict_residuals(
     predicted = np.zeros((len(chosen), samples.markers, 2))
     residual = np.full(predicted.shape, np.nan)
     per_newton = np.linalg.norm(locator.places.shift_px[:, 0], axis=1)
-    known: list[tuple[int, FloatArray, float]] = []
+    known: list[tuple[int, int, FloatArray, float]] = []
     for number, sample in enumerate(chosen):
         rows = np.arange(first[sample], first[sample + 1])
         rows = rows[touches.force_N[rows] > 0.0]
@@ -137,10 +140,10 @@ def predict_residuals(
             states[-1].x[3:SHEAR_START] = moments_mm2[row]
             states[-1].x[SHEAR_START:] = touches.friction[row]
         parts = predicted_shifts(locator.places, states)
-        for state, (one, _) in zip(states, parts, strict=True):
+        for row, state, (one, _) in zip(rows.tolist(), states, parts, strict=True):
             total += one
             linear_N = float(np.linalg.norm(one) / per_newton[state.place])
-            known.append((number, centre_of(locator.places, state), linear_N))
+            known.append((number, row, centre_of(locator.places, state), linear_N))
         # A rig that measures one axis leaves the force along the surface unknown.
         if samples.theory[sample] == REAL and not np.any(touches.friction[rows]):
             slope = np.concatenate([slope[SHEAR_START:] for _, slope in parts])
@@ -148,9 +151,10 @@ def predict_residuals(
         predicted[number] = total.reshape(-1, 2)
         residual[number] = shift[sample] - predicted[number]
     contacts = KnownContacts(
-        row=np.array([number for number, _, _ in known], dtype=np.int64),
-        point_mm=np.array([point for _, point, _ in known]).reshape(-1, 3),
-        linear_N=np.array([force for _, _, force in known]),
+        row=np.array([number for number, *_ in known], dtype=np.int64),
+        touch=np.array([touch for _, touch, *_ in known], dtype=np.int64),
+        point_mm=np.array([point for *_, point, _ in known]).reshape(-1, 3),
+        linear_N=np.array([force for *_, force in known]),
     )
     return PredictionResiduals(
         predicted_px=predicted, residual_px=residual, on=bits[chosen]

@@ -15,6 +15,7 @@ from phytac_design.training.fem_calibration import MODULI, ReceptorSolver, fit_m
 from phytac_design.training.levenberg_marquardt import train_network
 from phytac_design.training.locator_calibration import calibrate_locator, error_of_first_order
 from phytac_design.training.training_data import SplitPart, data_of
+from phytac_design.training.uneven_wall import WallSolver
 from phytac_shapes.errors import InputError
 
 
@@ -34,6 +35,8 @@ class TrainingTask:
         Another sensor's decoder to start from.
     receptors : ReceptorSolver or None
         Solves large displacements by forces on receptors, by the design.
+    wall : WallSolver or None
+        The design's shell, for a print's own thickness.
     """
 
     bundle: Bundle
@@ -43,6 +46,7 @@ class TrainingTask:
     seed: int
     start: Bundle | None = None
     receptors: ReceptorSolver | None = None
+    wall: WallSolver | None = None
 
     @property
     def points(self) -> list[Samples]:
@@ -153,6 +157,7 @@ def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
         np.arange(samples.count),
         force_max_N=task.bundle.force_max_N,
         seed=task.seed,
+        wall=task.wall,
     )
     if linear and locator.correction is not None:
         locator = replace(

@@ -6,7 +6,7 @@ reads as well. Where it pressed the decoder finds itself; only the force must be
 
 import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,14 +26,19 @@ from phytac_decoder.pipeline.rest_frames import pressed_note
 from phytac_design.core.json_values import finite
 from phytac_design.datasets.samples import Samples
 from phytac_design.design.design_file import design_hash
+from phytac_design.design.spec import Design
 from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES, encode_png
 from phytac_design.simulation.rig_import.rig_samples import RigSetup, samples_of
+from phytac_design.stages.build import run_stages, select_stages
+from phytac_design.stages.places_stage import uneven_wall_of
 from phytac_design.training.locator_calibration import SETTINGS as CALIBRATION
 from phytac_design.training.locator_calibration import calibrate_locator
 from phytac_design.training.press_places import next_press, pressable_receptors
 from phytac_design.training.result_folder import write_folder
+from phytac_design.training.uneven_wall import SETTINGS as UNEVEN
+from phytac_design.training.uneven_wall import UnevenWall, WallSolver
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError, OutputError
 
@@ -183,7 +188,11 @@ def press_samples(sensor: Sensor, bundle: Bundle, presses: Sequence[KnownPress])
 
 
 def calibrate_to_presses(
-    sensor: Sensor, bundle: Bundle, presses: Sequence[KnownPress]
+    sensor: Sensor,
+    bundle: Bundle,
+    presses: Sequence[KnownPress],
+    *,
+    wall: WallSolver | None = None,
 ) -> tuple[Bundle, dict[str, Any]]:
     """Calibrate the estimator ``auto`` to presses; return the decoder, and facts of the fit.
 
@@ -195,16 +204,35 @@ def calibrate_to_presses(
         Decoder before the calibration, with the print's rest frame.
     presses : sequence of KnownPress
         One at least.
+    wall : WallSolver, optional
+        The design's shell, for the print's own thickness.
     """
     samples = press_samples(sensor, bundle, presses)
     plain = designed_locator(bundle)
     fitted, facts = calibrate_locator(
-        plain, samples, np.arange(samples.count), force_max_N=bundle.force_max_N
+        plain,
+        samples,
+        np.arange(samples.count),
+        force_max_N=bundle.force_max_N,
+        wall=wall,
     )
     if facts["contacts"] < CALIBRATION.contacts_min and fitted.correction is not None:
         # One factor does not hold the error of linear tables.
         fitted = replace(fitted, correction=replace(fitted.correction, linear=True))
     return replace(bundle, model=replace(bundle.model, locator=fitted)), facts
+
+
+def designed_wall(design: Design, progress: Callable[[str], None]) -> UnevenWall | None:
+    """The shell of a design, and what its cameras see of it; None where it is too large."""
+    context = run_stages(
+        design,
+        select_stages(["views"]),
+        accuracy="standard",
+        seed=0,
+        force=True,
+        progress=progress,
+    )[0]
+    return uneven_wall_of(context)
 
 
 def stated_shares(bundle: Bundle, presses: Sequence[KnownPress]) -> FloatArray:
@@ -387,6 +415,20 @@ class InstanceCalibration:
         self.presses, self.calibrated, self._facts = presses, self._plain, {}
         if presses:
             self.calibrated, self._facts = calibrate_to_presses(self._sensor, self._plain, presses)
+
+    @property
+    def shows_wall(self) -> bool:
+        """Whether there are enough presses for the thickness of the wall."""
+        return len(self.presses) >= UNEVEN.samples_min
+
+    def fit_wall(self, wall: WallSolver) -> None:
+        """Calibrate to the presses again, with the thickness of the print's wall.
+
+        It takes ten seconds or more, so that it is not done after each press.
+        """
+        self.calibrated, self._facts = calibrate_to_presses(
+            self._sensor, self._plain, self.presses, wall=wall
+        )
 
     def save(self) -> dict[str, Any]:
         """Write the decoder and ``instance.json``; return the latter's contents."""

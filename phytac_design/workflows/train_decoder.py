@@ -20,7 +20,7 @@ from phytac_design.rules.check import check_design
 from phytac_design.simulation.switch_law import switch_law
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder_stage import DECODER, assemble_bundle, untrained_model
-from phytac_design.stages.places_stage import receptor_table_of
+from phytac_design.stages.places_stage import receptor_table_of, uneven_wall_of
 from phytac_design.training.data_agreement import check_agreement, flagged_share
 from phytac_design.training.evaluation.contact_scores import error_summary
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
@@ -36,6 +36,7 @@ from phytac_design.training.training_data import (
     read_data_sets,
     split_data_sets,
 )
+from phytac_design.training.uneven_wall import WallSolver
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
 
@@ -131,7 +132,13 @@ def train(
                 progress(f"warning: {doubt}")
         plain, learnt = _with_thresholds(plain, context.sensor, parts[0])
         bundle, trained = run_trainers(
-            plain, parts, seed, first, progress, partial(receptor_table_of, context)
+            plain,
+            parts,
+            seed,
+            first,
+            progress,
+            receptors=partial(receptor_table_of, context),
+            wall=partial(uneven_wall_of, context),
         )
         trained |= learnt
         held_out = held_out_scores(bundle, parts[2])
@@ -214,7 +221,9 @@ def run_trainers(
     seed: int,
     start: Bundle | None,
     progress: Callable[[str], None],
+    *,
     receptors: ReceptorSolver | None = None,
+    wall: WallSolver | None = None,
 ) -> tuple[Bundle, dict[str, Any]]:
     """Run all trainers; return the bundle with their results, and their facts."""
     facts = {}
@@ -229,6 +238,7 @@ def run_trainers(
             seed=seed,
             start=start,
             receptors=receptors,
+            wall=wall,
         )
         model, found = trainer(task)
         bundle = replace(bundle, model=model)

@@ -75,6 +75,7 @@ def field_of_some(
     mine = keep[contacts.row]
     pressed = KnownContacts(
         row=(np.cumsum(keep) - 1)[contacts.row[mine]],
+        touch=contacts.touch[mine],
         point_mm=contacts.point_mm[mine],
         linear_N=contacts.linear_N[mine],
     )
@@ -146,9 +147,8 @@ def test_where_the_wall_stiffens_less_is_in_the_field() -> None:
 def test_the_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = pressed(30, seed=16, uneven=hilly)
     seen, parts, contacts = compared(samples)
-    nobody = KnownContacts(
-        row=np.zeros(0, dtype=np.int64), point_mm=np.zeros((0, 3)), linear_N=np.zeros(0)
-    )
+    none = np.zeros(0, dtype=np.int64)
+    nobody = KnownContacts(row=none, touch=none, point_mm=np.zeros((0, 3)), linear_N=np.zeros(0))
     nothing = StiffnessField(seen, parts, nobody, PLAIN.places, PLAIN.noise)
     assert (nothing.table().shift_px == PLAIN.places.shift_px).all()
     dark = replace(seen, residual_px=np.full_like(seen.residual_px, np.nan))
