@@ -40,6 +40,7 @@ from phytac_design.workflows.calibrate_instance import (
 )
 from phytac_design.workflows.import_rig import import_rig
 from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 from tests.refusals import refused
 from tests.simulation.test_rig import DESIGN, EXAMPLE, bundle
 
@@ -98,7 +99,7 @@ def test_a_stiffer_print_is_read_right_and_with_narrower_intervals(
 def few_show_the_wall(monkeypatch: pytest.MonkeyPatch, solver: Callable[..., None]) -> None:
     """Three presses are enough for the thickness of the wall, which ``solver`` is asked for."""
     for module in (calibrate_instance, locator_calibration):
-        monkeypatch.setattr(module, "UNEVEN", replace(module.UNEVEN, samples_min=3))
+        monkeypatch.setattr(module, "UNEVEN", replace(module.UNEVEN, blocks_min=3))
     monkeypatch.setattr(calibrate_instance, "designed_wall", solver)
 
 
@@ -125,10 +126,27 @@ def test_stopping_leaves_the_wall_out_and_keeps_the_presses(
     few_show_the_wall(monkeypatch, stop)
     done = run(bundle, tmp_path / "mine", "--table", str(table(tmp_path / "forces.csv")), "--json")
     assert done.exit_code == 0, done.output
+    assert "stopped: the wall is taken as even" in done.stderr
     facts = json.loads(done.stdout)
     assert facts["presses"] == 3
-    assert facts["auto"]["wall"] is None
+    assert facts["auto"]["wall"] == {"even": "not fitted"}
     assert facts["auto"]["stiffness"] == pytest.approx(STIFFER, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    "error", [DesignError("stage-died", "the stage died"), OSError("disk full"), MemoryError()]
+)
+def test_a_wall_that_cannot_be_fitted_loses_no_press(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def broken(*_: object) -> None:
+        raise error
+
+    few_show_the_wall(monkeypatch, broken)
+    done = run(bundle, tmp_path / "mine", "--table", str(table(tmp_path / "forces.csv")))
+    assert done.exit_code == 0, done.output
+    assert f"warning: the wall is taken as even: {error or 'MemoryError'}" in done.stderr
+    assert load_bundle(tmp_path / "mine").notes["instance"]["presses"] == 3
 
 
 def test_the_wall_of_the_design_is_at_hand(
@@ -139,7 +157,7 @@ def test_the_wall_of_the_design_is_at_hand(
     done = run(bundle, tmp_path / "mine", "--table", str(table(tmp_path / "forces.csv")), "--json")
     assert done.exit_code == 0, done.output
     wall = json.loads(done.stdout)["auto"]["wall"]
-    assert wall is None or 0.95 < wall["thinnest"] < wall["thickest"] < 1.05
+    assert "even" in wall or 0.95 < wall["thinnest"] < wall["thickest"] < 1.05
     found = calibrate_instance.designed_wall(DESIGN, lambda _: None)
     assert found is not None
     assert len(found.see.slope) == load_bundle(bundle).rest_px.shape[0]
@@ -296,6 +314,26 @@ def test_ctrl_c_keeps_what_there_is(
     assert done.exit_code == 0, done.output
     assert forces_kept(tmp_path / "mine") == [10.8]
     assert (tmp_path / "mine" / "bundle.json").exists()
+
+
+def test_ctrl_c_at_a_question_does_not_fit_the_wall(
+    typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = iter(["", "10.8"])
+
+    def answer() -> str:
+        for text in answers:
+            return text
+        raise KeyboardInterrupt
+
+    few_show_the_wall(monkeypatch, lambda *_: pytest.fail("fitted"))
+    for module in (calibrate_instance, locator_calibration):
+        monkeypatch.setattr(module, "UNEVEN", replace(module.UNEVEN, blocks_min=1))
+    monkeypatch.setattr("builtins.input", answer)
+    done = typed([(3,)])
+    assert done.exit_code == 0, done.output
+    assert "stopped" in done.stderr
+    assert forces_kept(tmp_path / "mine") == [10.8]
 
 
 def test_it_stops_at_the_accuracy_asked_for(typed: Typed) -> None:

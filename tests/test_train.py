@@ -123,7 +123,9 @@ def test_the_wall_of_the_design_is_handed_to_the_trainer(
     )
     out = learn(little)
     assert asked == [DESIGN.name]
-    assert json.loads((out / TABLE).read_text())["trainers"]["auto"]["wall"] is None
+    assert json.loads((out / TABLE).read_text())["trainers"]["auto"]["wall"] == {
+        "even": "its mesh is too large"
+    }
 
 
 @pytest.mark.usefixtures("networks_alone")

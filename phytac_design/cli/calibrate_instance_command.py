@@ -22,11 +22,12 @@ from phytac_design.cli.serve_command import (
     check_source_count,
     open_frames,
 )
-from phytac_shapes.errors import InputError, OutputError
+from phytac_shapes.errors import InputError, OutputError, PhytacError
 
 if TYPE_CHECKING:
     from phytac_decoder.io.bundle import Bundle
     from phytac_decoder.io.frame import Source
+    from phytac_design.design.spec import Design
     from phytac_design.simulation.rig_import.rig_frames import FrameFolder
     from phytac_design.workflows.calibrate_instance import InstanceCalibration
     from phytac_shapes.arrays import ImageArray
@@ -107,7 +108,6 @@ def calibrate_instance(
         TABLE,
         InstanceCalibration,
         designed_locator,
-        designed_wall,
         doubts,
     )
 
@@ -134,9 +134,7 @@ def calibrate_instance(
         if not calibration.presses:
             raise InputError("no-presses", "no press was taken, so that nothing is calibrated")
         if finished and calibration.shows_wall:
-            say("the thickness of the wall, by all presses (Ctrl-C leaves it out)")
-            with contextlib.suppress(KeyboardInterrupt):
-                calibration.fit_wall(partial(designed_wall, loaded, say))
+            _fit_wall(calibration, loaded)
         facts = calibration.save()
     for doubt in doubts(calibration.presses):
         say(f"warning: {doubt}")
@@ -148,13 +146,27 @@ def calibrate_instance(
         f"of the design; forces of such presses within ± {100.0 * facts['interval_share']:.1f} % "
         "(95 %, median)"
     )
-    if facts["auto"]["wall"]:
-        thin, thick = (facts["auto"]["wall"][name] for name in ("thinnest", "thickest"))
+    wall = facts["auto"]["wall"]
+    if "thinnest" in wall:
+        thin, thick = wall["thinnest"], wall["thickest"]
         typer.echo(f"its wall: {thin:.2f} to {thick:.2f} times the designed thickness")
     if table is None:
         next_step(f"phytac live {shlex.join([str(out), *source])} --rest-first {REST_FRAMES}")
     else:
         next_step(f"phytac decode {shlex.quote(str(out))} FRAME --rest REST")
+
+
+def _fit_wall(calibration: "InstanceCalibration", design: "Design") -> None:
+    """Fit the thickness of the wall; without it the presses so far are as good."""
+    from phytac_design.workflows.calibrate_instance import designed_wall
+
+    say("the thickness of the wall, by all presses (Ctrl-C leaves it out)")
+    try:
+        calibration.fit_wall(partial(designed_wall, design, say))
+    except KeyboardInterrupt:
+        say("stopped: the wall is taken as even")
+    except (PhytacError, OSError, MemoryError) as error:
+        say(f"warning: the wall is taken as even: {str(error) or type(error).__name__}")
 
 
 def _camera(
@@ -246,11 +258,11 @@ def _check_out_folder(out: Path, bundle: Path, source: Sequence[str], *, force: 
 
 
 def _ask(text: str) -> str:
-    """Answer to a question on standard error; "done" at the end of the answers, or on Ctrl-C."""
+    """Answer to a question on standard error; "done" at the end of the answers."""
     typer.echo(f"{text} ", nl=False, err=True)
     try:
         return input().strip().lower()
-    except (EOFError, KeyboardInterrupt):
+    except EOFError:
         say("")
         return "done"
 
@@ -275,8 +287,8 @@ def _add_asked(
             f"press {len(calibration.presses) + 1} of {presses}: {calibration.proposal()}, "
             f"straight onto the wall, with about {0.5 * force_max_N:.2g} N"
         )
-        answer = _ask("hold it and press Enter (or skip, undo, done):")
         try:
+            answer = _ask("hold it and press Enter (or skip, undo, done):")
             if answer == "":
                 answer = _take(calibration, source)
             if answer == "skip":

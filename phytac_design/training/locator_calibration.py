@@ -34,7 +34,7 @@ from phytac_design.training.stiffness_field import StiffnessField
 from phytac_design.training.uneven_wall import SETTINGS as UNEVEN
 from phytac_design.training.uneven_wall import WallSolver
 from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import InputError
+from phytac_shapes.errors import DesignError, InputError, NumericalError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,17 +175,17 @@ class _OwnWall:
         With them.
     seen, known : PredictionResiduals, KnownContacts
         What they leave of the samples.
+    facts : dict
+        Figures of the thickness, or why the wall is taken as even.
     stiffness : float
         Of the print over that before.
-    facts : dict, optional
-        Thickness; None where the wall is taken as even.
     """
 
     locator: ContactLocator
     seen: PredictionResiduals
     known: KnownContacts
+    facts: dict[str, Any]
     stiffness: float = 1.0
-    facts: dict[str, float] | None = None
 
 
 def _fit_own_wall(
@@ -195,34 +195,40 @@ def _fit_own_wall(
     chosen: IntArray,
     stiffness: float,
 ) -> _OwnWall:
-    """Fit the thickness of the wall to samples (k,), by tables of a print so stiff.
-
-    The wall is even without its shell, and where samples do not show it to be uneven.
-    """
+    """Fit the thickness of the wall to samples (k,), by tables of a print so stiff."""
     moments = _moments(plain, samples)
     seen, known = predict_residuals(plain, samples, chosen, moments)
-    even = _OwnWall(locator=plain, seen=seen, known=known)
-    if wall is None or len(np.unique(known.row)) < UNEVEN.samples_min:
-        return even
+
+    def even(reason: str) -> _OwnWall:
+        return _OwnWall(locator=plain, seen=seen, known=known, facts={"even": reason})
+
+    if wall is None:
+        return even("not fitted")
+    if len(np.unique(samples.sequence[chosen][known.row])) < UNEVEN.blocks_min:
+        return even(f"fewer than {UNEVEN.blocks_min} presses")
     shell = wall()
     if shell is None:
-        return even
+        return even("its mesh is too large")
     touches, *_ = samples.points()
-    thickness = shell.fit(
-        seen,
-        known,
-        touches,
-        samples.sequence[chosen],
-        stiffness=stiffness,
-        radius_mm=plain.places.radius_mm,
-        rest_px=plain.noise.median_px,
-    )
+    try:
+        thickness = shell.fit(
+            seen,
+            known,
+            touches,
+            samples.sequence[chosen],
+            stiffness=stiffness,
+            radius_mm=plain.places.radius_mm,
+            rest_px=plain.noise.median_px,
+        )
+    except (DesignError, NumericalError) as error:
+        # Contacts of a rig may lie where the design's wall cannot be pressed.
+        return even(str(error))
     if thickness is None:
-        return even
+        return even("held-out samples do not show it")
     factor = 1.0 / thickness.common
     uneven = replace(plain, places=shell.table(plain.places, thickness).scaled(factor))
     seen, known = predict_residuals(uneven, samples, chosen, moments)
-    return _OwnWall(locator=uneven, seen=seen, known=known, stiffness=factor, facts=thickness.facts)
+    return _OwnWall(locator=uneven, seen=seen, known=known, facts=thickness.facts, stiffness=factor)
 
 
 def calibrate_locator(

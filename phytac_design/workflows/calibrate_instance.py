@@ -175,7 +175,7 @@ def press_samples(sensor: Sensor, bundle: Bundle, presses: Sequence[KnownPress])
     )
     touches = Contacts.flat(
         sample=np.arange(count),
-        uv=sensor.surface.chart(points),
+        uv=np.clip(sensor.surface.chart(points), *sensor.surface.domain.T),
         radius_mm=np.array([press.contact.radius_mm for press in presses]),
         force_N=np.array([press.force_N for press in presses]),
         samples=count,
@@ -419,7 +419,7 @@ class InstanceCalibration:
     @property
     def shows_wall(self) -> bool:
         """Whether there are enough presses for the thickness of the wall."""
-        return len(self.presses) >= UNEVEN.samples_min
+        return len(self.presses) >= UNEVEN.blocks_min
 
     def fit_wall(self, wall: WallSolver) -> None:
         """Calibrate to the presses again, with the thickness of the print's wall.

