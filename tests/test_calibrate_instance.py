@@ -111,6 +111,7 @@ def test_the_wall_is_fitted_once_at_the_end(
     few = run(bundle, tmp_path / "few", "--table", str(table(tmp_path / "two.csv", (2, 3))))
     assert few.exit_code == 0, few.output
     assert not asked
+    assert "the thickness of the wall" not in few.output
     enough = run(bundle, tmp_path / "enough", "--table", str(table(tmp_path / "three.csv")))
     assert enough.exit_code == 0, enough.output
     assert asked == [DESIGN.name]

@@ -47,6 +47,16 @@ def seen_of(samples: Samples) -> tuple[PredictionResiduals, KnownContacts]:
     return predict_residuals(PLAIN, samples, np.arange(samples.count), moments)
 
 
+def test_contacts_are_those_of_the_chosen_samples() -> None:
+    samples = pressed(6, seed=2)
+    touches = samples.touches
+    assert touches is not None
+    chosen = np.array([5, 2])
+    moments = np.zeros((len(touches.force_N), 3))
+    _, known = predict_residuals(PLAIN, samples, chosen, moments)
+    np.testing.assert_array_equal(touches.sample[known.touch], chosen[known.row])
+
+
 def parts_of(count: int, parts: int = 5) -> list[CrossValidationFold]:
     gain = np.zeros((N, 2, 2))
     return [

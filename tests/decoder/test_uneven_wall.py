@@ -171,6 +171,63 @@ def test_samples_that_contradict_each_other_show_nothing() -> None:
     assert found is None
 
 
+def test_markers_whose_switch_is_on_do_not_count() -> None:
+    """Their red tip covers paint, as far as the load goes."""
+    seen, known = compared(0.04)
+    near = np.zeros(seen.on.shape, dtype=np.bool_)
+    near[:, 5:9] = True
+    residual = np.where(near[:, :, None], 30.0, seen.residual_px)
+    found = [
+        wall().fit(
+            replace(seen, residual_px=pixels, on=near),
+            known,
+            touches().table(SURFACE),
+            np.arange(SAMPLES),
+            stiffness=1.0,
+            radius_mm=RADIUS_mm,
+            rest_px=NOISE_px,
+        )
+        for pixels in (residual, seen.residual_px)
+    ]
+    assert found[0] is not None
+    assert found[1] is not None
+    np.testing.assert_array_equal(found[0].factor, found[1].factor)
+
+
+def test_markers_that_were_never_found_show_nothing() -> None:
+    seen, known = compared(0.04)
+    dark = replace(seen, residual_px=np.full_like(seen.residual_px, np.nan))
+    assert (
+        wall().fit(
+            dark,
+            known,
+            touches().table(SURFACE),
+            np.arange(SAMPLES),
+            stiffness=1.0,
+            radius_mm=RADIUS_mm,
+            rest_px=NOISE_px,
+        )
+        is None
+    )
+
+
+def test_an_unknown_radius_is_the_usual_one() -> None:
+    _, known = compared(0.04)
+    table, rows = touches().table(SURFACE), np.arange(4)
+    unknown = replace(table, radius_mm=np.zeros_like(table.radius_mm))
+    usual = replace(table, radius_mm=np.full_like(table.radius_mm, RADIUS_mm))
+    loads = [wall()._load(known, one, rows, RADIUS_mm) for one in (table, unknown, usual)]
+    np.testing.assert_array_equal(loads[1], loads[2])
+    assert not np.array_equal(loads[0], loads[1])
+
+
+def test_a_wall_keeps_half_of_its_thickness(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uneven_wall, "SETTINGS", replace(uneven_wall.SETTINGS, factor_min=0.97))
+    found = fitted(0.04)
+    assert found is not None
+    assert found.factor.min() == 0.97
+
+
 def test_samples_of_one_press_are_held_out_together() -> None:
     """One block cannot be predicted by others, of which there are none."""
     assert fitted(0.04, block=np.zeros(SAMPLES, dtype=np.int64)) is None
