@@ -48,7 +48,7 @@ class UnevenWallSettings:
     3 to 5 %, alike for the markers around a contact; with 10 % the thickness found has the spread
     of the true one, or less."""
     samples_max: int = 200
-    """Samples that are fitted to, at most: more change the thickness by less than its error."""
+    """Samples that are fitted to, at most: they bound time and memory."""
     blocks_min: int = 5
     """Fewer blocks of samples say nothing."""
     explained_min: float = 0.002
