@@ -59,7 +59,7 @@ def test_stiffness_noise_and_prior_are_found() -> None:
 
 
 class OddWall:
-    """A wall's shell that leaves the tables, and finds what it is told, or an error."""
+    """Stands for a wall's shell: a given thickness, none, or an error; tables stay as they are."""
 
     def __init__(self, found: WallThickness | PhytacError | None) -> None:
         self.found = found

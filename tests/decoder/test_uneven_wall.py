@@ -122,15 +122,22 @@ def compared(share: float) -> tuple[PredictionResiduals, KnownContacts]:
     return seen, known
 
 
-def fitted(share: float, *, block: IntArray | None = None) -> WallThickness | None:
+def fitted_to(
+    seen: PredictionResiduals, known: KnownContacts, block: IntArray | None = None
+) -> WallThickness | None:
     return wall().fit(
-        *compared(share),
+        seen,
+        known,
         touches().table(SURFACE),
         np.arange(SAMPLES) if block is None else block,
         stiffness=1.0,
         radius_mm=RADIUS_mm,
         rest_px=NOISE_px,
     )
+
+
+def fitted(share: float) -> WallThickness | None:
+    return fitted_to(*compared(share))
 
 
 def true_factor() -> FloatArray:
@@ -159,16 +166,7 @@ def test_samples_that_contradict_each_other_show_nothing() -> None:
     """Shifts of one sample that belong to another's contacts."""
     seen, known = compared(0.04)
     mixed = replace(seen, residual_px=np.roll(seen.residual_px, 7, axis=0))
-    found = wall().fit(
-        mixed,
-        known,
-        touches().table(SURFACE),
-        np.arange(SAMPLES),
-        stiffness=1.0,
-        radius_mm=RADIUS_mm,
-        rest_px=NOISE_px,
-    )
-    assert found is None
+    assert fitted_to(mixed, known) is None
 
 
 def test_markers_whose_switch_is_on_do_not_count() -> None:
@@ -178,15 +176,7 @@ def test_markers_whose_switch_is_on_do_not_count() -> None:
     near[:, 5:9] = True
     residual = np.where(near[:, :, None], 30.0, seen.residual_px)
     found = [
-        wall().fit(
-            replace(seen, residual_px=pixels, on=near),
-            known,
-            touches().table(SURFACE),
-            np.arange(SAMPLES),
-            stiffness=1.0,
-            radius_mm=RADIUS_mm,
-            rest_px=NOISE_px,
-        )
+        fitted_to(replace(seen, residual_px=pixels, on=near), known)
         for pixels in (residual, seen.residual_px)
     ]
     assert found[0] is not None
@@ -197,18 +187,7 @@ def test_markers_whose_switch_is_on_do_not_count() -> None:
 def test_markers_that_were_never_found_show_nothing() -> None:
     seen, known = compared(0.04)
     dark = replace(seen, residual_px=np.full_like(seen.residual_px, np.nan))
-    assert (
-        wall().fit(
-            dark,
-            known,
-            touches().table(SURFACE),
-            np.arange(SAMPLES),
-            stiffness=1.0,
-            radius_mm=RADIUS_mm,
-            rest_px=NOISE_px,
-        )
-        is None
-    )
+    assert fitted_to(dark, known) is None
 
 
 def test_an_unknown_radius_is_the_usual_one() -> None:
@@ -230,7 +209,7 @@ def test_a_wall_keeps_half_of_its_thickness(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_samples_of_one_press_are_held_out_together() -> None:
     """One block cannot be predicted by others, of which there are none."""
-    assert fitted(0.04, block=np.zeros(SAMPLES, dtype=np.int64)) is None
+    assert fitted_to(*compared(0.04), block=np.zeros(SAMPLES, dtype=np.int64)) is None
 
 
 def test_slopes_are_those_of_a_shell_that_is_a_little_thicker() -> None:
