@@ -10,13 +10,17 @@ from phytac_decoder.vision.switch_detection import TipCovers
 from phytac_design.design.design_file import load_design
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.sensor import Sensor
+from phytac_design.optics.exposure import Exposure, expose, lens_blur, light_on_chip
 from phytac_design.optics.frame_renderer import render_frame
+from phytac_design.optics.light import triangle_light
 from phytac_design.optics.render_scene import FIRST_MARKER, build_scene
-from phytac_design.simulation.imaging import predicted_noise
+from phytac_design.simulation.imaging import nominal_view, predicted_noise
 from phytac_design.simulation.imaging.nominal_view import Shot, look
 from phytac_design.simulation.imaging.predicted_noise import predict_noise
 from phytac_design.simulation.imaging.tip_covers import as_detected, exact_covers
+from phytac_design.simulation.imaging.virtual_camera import bar_strip
 from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import DesignError
 
 SENSOR = Sensor(load_design("examples/uses/handle.toml"))
 
@@ -73,11 +77,38 @@ def test_covers_are_those_of_single_tips_in_frames() -> None:
     assert np.sqrt(np.mean(left**2)) < 0.5 * np.sqrt(np.mean(predicted**2))
 
 
-def test_own_bias_and_covers_are_all_that_tips_do() -> None:
+def through_lens(on: BoolArray) -> FloatArray:
+    """Positions in a frame of the simulated camera, without noise."""
+    camera, exposure = SENSOR.cameras[0], Exposure()
+    scene = build_scene(SENSOR, tolerance_mm=tolerance_mm(camera, SENSOR.markers), switch_on=on)
+    sent = triangle_light(scene, camera, strip=bar_strip(SENSOR))
+    blur = lens_blur(SENSOR, camera)
+    light = light_on_chip(scene, camera, light=sent, blur=blur, samples=54)
+    return shot().positions(SENSOR, expose(light, camera, exposure))
+
+
+def test_own_bias_and_covers_are_all_that_tips_do_behind_the_lens() -> None:
     every = np.ones(SENSOR.markers.count, dtype=np.bool_)
     total = shot().expected.tip_bias_px + shot().covers.shift(every)
-    measured = positions(every) - positions(~every)
-    np.testing.assert_allclose(total, measured, atol=0.02)
+    left = total - (through_lens(every) - through_lens(~every))
+    sharp = total - (positions(every) - positions(~every))
+    assert np.sqrt(np.mean(left**2)) < 0.03
+    # Without blur, tips take less of the paint beside them.
+    assert np.sqrt(np.mean(sharp**2)) > 2.0 * np.sqrt(np.mean(left**2))
+
+
+def test_tips_of_a_sensor_that_nothing_is_sharp_of_are_measured_without_blur(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def nothing_sharp(*_: object) -> None:
+        raise DesignError("camera-focus", "nothing is sharp")
+
+    monkeypatch.setattr(nominal_view, "lens_blur", nothing_sharp)
+    bias = look(SENSOR, SENSOR.cameras[0], rng=np.random.default_rng(0))
+    every = np.ones(SENSOR.markers.count, dtype=np.bool_)
+    total = bias.expected.tip_bias_px + bias.covers.shift(every)
+    left = total - (positions(every) - positions(~every))
+    assert np.sqrt(np.mean(left**2)) < 0.03
 
 
 def test_noise_of_other_frames_is_as_predicted() -> None:
