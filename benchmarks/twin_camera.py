@@ -241,7 +241,7 @@ def own_tips(table: Table, case: CameraCase, prints: tuple[int, ...] = (0, 1, 2)
             of_design = of_design if number else left
             who = f"{case.design.name}, print {number}, {lens}"
             row = f"{who}: shift by a marker's own tip, left over"
-            source = "the shift, RMS; a build foresees it with a sharp lens"
+            source = "the shift, RMS; a build foresees it with the lens of the design file"
             note = (
                 f"{rms(left - of_design):.3f} px RMS if a build foresaw it with this lens; largest "
                 f"{np.linalg.norm(left, axis=1).max():.2f} px; unloaded, all tips in and out"

@@ -4,7 +4,7 @@ Fitted are the stiffness, the priors, the noise, marker gains, a stiffness field
 forces and their spread.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -18,6 +18,7 @@ from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import INTERVAL_90_SDS, ContactLocator
 from phytac_decoder.estimation.locator import SETTINGS as LOCATOR_SETTINGS
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.datasets.samples import FAILED, Samples, TouchRows
 from phytac_design.training.force_correction_fit import fit_correction
 from phytac_design.training.marker_gain import (
@@ -220,13 +221,14 @@ def _fit_own_wall(
             radius_mm=plain.places.radius_mm,
             rest_px=plain.noise.median_px,
         )
+        if thickness is None:
+            return even("held-out samples do not show it")
+        table = shell.table(plain.places, thickness)
     except (DesignError, NumericalError) as error:
         # Contacts of a rig may lie where the design's wall cannot be pressed.
         return even(str(error))
-    if thickness is None:
-        return even("held-out samples do not show it")
     factor = 1.0 / thickness.common
-    uneven = replace(plain, places=shell.table(plain.places, thickness).scaled(factor))
+    uneven = replace(plain, places=table.scaled(factor))
     seen, known = predict_residuals(uneven, samples, chosen, moments)
     return _OwnWall(locator=uneven, seen=seen, known=known, facts=thickness.facts, stiffness=factor)
 
@@ -288,17 +290,23 @@ def calibrate_locator(
         if switched_px is not None:
             noise = replace(noise, switched_px=switched_px)
     plain = replace(plain, noise=noise)
-    field = StiffnessField(seen, folds, known, design, plain.noise)
-    again = _cross_validated(plain, field, 1.0, folds, samples, chosen, few)
-    if len(chosen) <= SETTINGS.scale_samples:
-        even = _cross_validated(plain, field.disabled(), 1.0, folds, samples, chosen, few)
-        if _scatter(again) > SETTINGS.scatter_growth_max * _scatter(even):
-            field, again = field.disabled(), even
-    plain = replace(plain, places=apply_gain(field.table(), gain))
+    tables, uneven = _without_field(design), False
+    again = _cross_validated(plain, tables, 1.0, folds, samples, chosen, few)
+    if "even" in own_wall.facts:
+        # Where the wall's thickness was found, nothing is left for the field to find.
+        field = StiffnessField(seen, folds, known, design, plain.noise)
+        other = _cross_validated(plain, field.table, 1.0, folds, samples, chosen, few)
+        uneven = field.enabled and (
+            len(chosen) > SETTINGS.scale_samples
+            or _scatter(other) <= SETTINGS.scatter_growth_max * _scatter(again)
+        )
+        if uneven:
+            tables, again = field.table, other
+    plain = replace(plain, places=apply_gain(tables(), gain))
     plain, second = _rescaled(plain, again)
     if few_known:
         plain = replace(plain, noise=locator.noise)
-    matches = _cross_validated(plain, field, second, folds, samples, chosen, chosen)
+    matches = _cross_validated(plain, tables, second, folds, samples, chosen, chosen)
     box = plain.position_mm
     correction = ForceCorrection.plain(
         low_mm=box.min(axis=0),
@@ -322,7 +330,7 @@ def calibrate_locator(
         "contacts": len(matches.force_N),
         "stiffness": correction.stiffness,
         "gain": float(np.sqrt(np.mean(gain**2))),
-        "uneven": field.enabled,
+        "uneven": uneven,
         "wall": own_wall.facts,
         "noise_px": float(np.sqrt(np.mean(plain.noise.each_px**2))),
         "switched_px": plain.noise.switched_px,
@@ -457,20 +465,31 @@ def _moments(plain: ContactLocator, samples: Samples) -> FloatArray:
     return moments
 
 
+def _without_field(places: ResponseTable) -> Callable[..., ResponseTable]:
+    """Return :meth:`.StiffnessField.table` of a print as the tables have it."""
+    return lambda **_: places
+
+
 def _cross_validated(
     plain: ContactLocator,
-    field: StiffnessField,
+    tables: Callable[..., ResponseTable],
     stiffness: float,
     folds: list[CrossValidationFold],
     samples: Samples,
     chosen: IntArray,
     within: IntArray,
 ) -> ContactMatches:
-    """Match the contacts of samples (m,), each located with tables fitted to the other folds."""
+    """Match the contacts of samples (m,), each located with tables fitted to the other folds.
+
+    Parameters
+    ----------
+    tables : callable
+        See :meth:`.StiffnessField.table`.
+    """
     found = []
     for number, fold in enumerate(folds):
         rows = fold.rows & np.isin(chosen, within)
-        table = apply_gain(field.table(without_fold=number).scaled(stiffness), fold.gain)
+        table = apply_gain(tables(without_fold=number).scaled(stiffness), fold.gain)
         with suppress(InputError):  # of few samples none may match
             found.append(match_contacts(replace(plain, places=table), samples, chosen[rows]))
     if not found:

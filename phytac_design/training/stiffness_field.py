@@ -11,7 +11,6 @@ tabulated motion of the marker. With few samples D stays near 0.
 """
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,12 +110,6 @@ class StiffnessField:
             np.searchsorted(rows, pressed.row[mine]),
             [np.flatnonzero(part.rows[rows]) for part in parts],
         )
-
-    def disabled(self) -> "StiffnessField":
-        """Return a field that leaves the tables as they are."""
-        out = copy(self)
-        out.enabled = False
-        return out
 
     def table(self, *, without_fold: int | None = None) -> ResponseTable:
         """Return the tables of the uneven print, by all samples or by those of all other folds."""
