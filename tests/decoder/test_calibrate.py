@@ -61,8 +61,8 @@ def test_stiffness_noise_and_prior_are_found() -> None:
 class OddWall:
     """Stands for a wall's shell: a given thickness, none, or an error; tables stay as they are."""
 
-    def __init__(self, found: WallThickness | PhytacError | None) -> None:
-        self.found = found
+    def __init__(self, found: WallThickness | PhytacError | None, *, solved: bool = True) -> None:
+        self.found, self.solved = found, solved
 
     def fit(self, *_: Any, **__: Any) -> WallThickness | None:
         if isinstance(self.found, PhytacError):
@@ -70,6 +70,8 @@ class OddWall:
         return self.found
 
     def table(self, places: ResponseTable, _: WallThickness) -> ResponseTable:
+        if not self.solved:
+            raise NumericalError("stiffness-ill-conditioned", "the wall cannot be solved")
         return places
 
 
@@ -90,7 +92,18 @@ def fitted_with(found: WallThickness | PhytacError | None) -> tuple[ContactLocat
 def test_a_wall_that_is_not_found_is_even(found: PhytacError | None, reason: str) -> None:
     learnt, facts = fitted_with(found)
     assert reason in facts["wall"]["even"]
+    assert facts["uneven"]
     assert (learnt.places.shift_px == taught()[0].places.shift_px).all()
+
+
+def test_a_wall_whose_tables_cannot_be_solved_is_even() -> None:
+    thickness = WallThickness(factor=np.array([0.9, 1.1]), common=1.1, explained=0.5)
+    wall = OddWall(thickness, solved=False)
+    facts = calibrate_locator(
+        LOCATOR, training(), np.arange(120), force_max_N=25.0, wall=lambda: wall
+    )[1]
+    assert "cannot be solved" in facts["wall"]["even"]
+    assert facts["stiffness"] == taught()[1]["stiffness"]
 
 
 def test_the_factor_beside_the_thickness_is_part_of_the_stiffness() -> None:
@@ -98,6 +111,8 @@ def test_the_factor_beside_the_thickness_is_part_of_the_stiffness() -> None:
     thickness = WallThickness(factor=np.array([0.9, 1.1]), common=1.1, explained=0.5)
     learnt, facts = fitted_with(thickness)
     assert facts["wall"]["thickest"] == 1.1
+    # No field besides.
+    assert not facts["uneven"]
     assert facts["stiffness"] == pytest.approx(STIFFNESS / 1.1, rel=0.03)
     assert facts["gain"] > 1.5 * taught()[1]["gain"] > 0.0
     size = np.linalg.norm(learnt.places.shift_px) / np.linalg.norm(taught()[0].places.shift_px)

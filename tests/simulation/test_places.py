@@ -776,6 +776,18 @@ def test_places_are_closer_at_the_ends() -> None:
     np.testing.assert_allclose(np.diff(few), np.ptp(few) / 4.0)
 
 
+def test_closer_places_at_the_ends_do_not_change_the_spacing() -> None:
+    """A contact may be as far from the places in the middle as these are apart."""
+    spacing = 12.0
+    places = BENCH.tables(BENCH.shell(3), spacing_mm=spacing, orders=1).places
+    closer = np.unique(rings(SURFACE, spacing, 1, HALVED_AT_ENDS).uv[:, 0])
+    plain = np.unique(rings(SURFACE, spacing, 1).uv[:, 0])
+    assert len(closer) > 1.5 * len(plain)  # most places are beside an end
+    gap = np.linalg.norm(places.point_mm[:, None] - places.point_mm, axis=2)
+    usual = np.sort(gap, axis=1)[:, 1].max()
+    assert places.spacing_mm == pytest.approx(usual, rel=0.1)
+
+
 def test_shifts_beside_a_rim_are_those_that_would_be_solved() -> None:
     places = tabulated().places
     start, end = SURFACE.domain[0]
