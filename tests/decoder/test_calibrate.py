@@ -12,6 +12,7 @@ from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.datasets.samples import Samples, TouchRows
+from phytac_design.training import locator_calibration
 from phytac_design.training.data_agreement import check_agreement
 from phytac_design.training.force_correction_fit import fit_correction, fit_spread
 from phytac_design.training.join_datasets import select_samples
@@ -117,6 +118,25 @@ def test_the_factor_beside_the_thickness_is_part_of_the_stiffness() -> None:
     assert facts["gain"] > 1.5 * taught()[1]["gain"] > 0.0
     size = np.linalg.norm(learnt.places.shift_px) / np.linalg.norm(taught()[0].places.shift_px)
     assert size == pytest.approx(1.0, abs=0.02)
+
+
+def test_the_spread_has_the_prior_of_a_wall_that_was_found_or_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plain, priors = locator_calibration.spread_with_prior, []
+
+    def kept(*contacts: Any, prior: float, **others: Any) -> float:
+        priors.append(prior)
+        return plain(*contacts, prior=prior, **others)
+
+    monkeypatch.setattr(locator_calibration, "spread_with_prior", kept)
+    for found in (None, WallThickness(factor=np.ones(2), common=1.0, explained=0.5)):
+        wall = OddWall(found)
+        calibrate_locator(
+            LOCATOR, training(), np.arange(20), force_max_N=25.0, wall=lambda wall=wall: wall
+        )
+    settings = locator_calibration.SETTINGS
+    assert priors == [settings.spread_prior[0], settings.spread_own_wall]
 
 
 def test_a_shell_is_made_for_five_samples_or_more_and_may_be_too_large() -> None:

@@ -27,8 +27,8 @@ from tests.docs.pages import PAGES, ROOT, blocks, listing
 GUIDES = ROOT / "docs" / "guides"
 CAMERA, PRINTER = GUIDES / "own-camera.md", GUIDES / "own-printer.md"
 FIGURES = (
-    ("0.12 N, 1.1 %", "decoder", "cylinder60 unit 1, frames: auto, middle heights (651 contacts)"),
-    ("0.44 N, 3.3 %", "decoder", "cylinder60 unit 1, frames: auto, all heights (991 contacts)"),
+    ("0.12 N, 1.2 %", "decoder", "cylinder60 unit 1, frames: auto, middle heights (651 contacts)"),
+    ("0.38 N, 2.9 %", "decoder", "cylinder60 unit 1, frames: auto, all heights (991 contacts)"),
     ("0.18 N, 1.4 %", "decoder", "cone unit 1, frames: auto, middle heights (81 contacts)"),
     ("0.35 N, 2.9 %", "decoder", "hemisphere unit 1, frames: auto, middle heights (120 contacts)"),
     ("1.3 N, 11 %", "decoder", "plane unit 1, frames: auto, middle heights (35 contacts)"),
