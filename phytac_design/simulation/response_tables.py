@@ -57,10 +57,6 @@ HIGHER_ORDER_SPACING = 2.0
 """Distance of places at which the higher powers of the force, and force along the surface, are
 solved, over that of places: they are a small part of the shifts, and are interpolated."""
 
-HALVED_AT_ENDS = 2
-"""Steps between places that are halved at either end of the surface: towards a clamped rim shifts
-fall as the square of the distance. Without, linear shifts 2 to 3.5 mm from the rims of
-``cylinder60`` are 3 to 10 % off, with them 1 to 3 %."""
 CORRECTION_SPACING_MAX = 0.85
 """Distance of those places over the patches' radius up to which the correction of linear motion, by
 extrapolation over meshes, is interpolated between them. At 1.6, shifts would be 0.5 % off because
@@ -164,7 +160,6 @@ class _Grid:
         solve: Callable[[FloatArray], list[list[FloatArray]]],
         image: Callable[[list[FloatArray]], FloatArray],
         what: str = "",
-        halved_at_ends: int = 0,
     ) -> tuple[ResponseTable, FloatArray, int]:
         """Table of ``count`` rows a place, its places (p, 2), and how many were solved.
 
@@ -178,10 +173,8 @@ class _Grid:
             Rows (k, 2n) of shifts by the motions of one place, k up to ``count``.
         what : str
             What is solved, for the progress.
-        halved_at_ends : int
-            Steps between places that are halved, see :func:`.turned_places.rings`.
         """
-        ring = rings(self.surface, apart_mm, self.sectors, halved_at_ends)
+        ring = rings(self.surface, apart_mm, self.sectors)
         wanted = np.flatnonzero(self.near(apart_mm, ring.uv))
         if len(wanted) < PLACES_MIN:
             raise DesignError(
@@ -293,11 +286,7 @@ def tabulate_responses(
     corrected = extrapolated is not None and apart <= CORRECTION_SPACING_MAX * radius
     pressed = extrapolated if extrapolated and not corrected else first
     places, uv, solves = grid.table(
-        spacing,
-        1,
-        lambda at: pressed.motions(at, radius),
-        lambda each: see.powers(each, NONE),
-        halved_at_ends=HALVED_AT_ENDS,
+        spacing, 1, lambda at: pressed.motions(at, radius), lambda each: see.powers(each, NONE)
     )
 
     def shear(apart_mm: float) -> ResponseTable:

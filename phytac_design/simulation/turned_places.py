@@ -48,11 +48,8 @@ class PlaceRings:
         return np.array([number.get((base, turns + 1), base) for base, turns in places])
 
 
-def rings(surface: Surface, spacing_mm: float, sectors: int, halved_at_ends: int = 0) -> PlaceRings:
-    """Places at most about ``spacing_mm`` apart, the same ones in each of so many sectors.
-
-    The first and last ``halved_at_ends`` steps along u are halved.
-    """
+def rings(surface: Surface, spacing_mm: float, sectors: int) -> PlaceRings:
+    """Places at most about ``spacing_mm`` apart, the same ones in each of so many sectors."""
     (u0, u1), (v0, v1) = surface.domain
     u, v = np.linspace(u0, u1, 513), np.linspace(v0, v1, 65)
     grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -64,10 +61,7 @@ def rings(surface: Surface, spacing_mm: float, sectors: int, halved_at_ends: int
     uv: list[tuple[float, float]] = []
     base: list[int] = []
     turns: list[int] = []
-    stations = np.linspace(0.0, length[-1], steps + 1)
-    halved = (stations[1:] + stations[:-1]) / 2.0
-    near_ends = np.minimum(np.arange(steps), np.arange(steps)[::-1]) < halved_at_ends
-    for place in np.union1d(stations, halved[near_ends]):
+    for place in np.linspace(0.0, length[-1], steps + 1):
         at = float(np.interp(place, length, u))
         width = float(np.interp(at, u, around))
         start = len(uv)

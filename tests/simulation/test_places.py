@@ -37,7 +37,6 @@ from phytac_design.simulation.pressed_series import (
 )
 from phytac_design.simulation.receptor_tables import tabulate_receptors
 from phytac_design.simulation.response_tables import (
-    HALVED_AT_ENDS,
     NONE,
     TabulatedResponse,
     everywhere,
@@ -205,7 +204,7 @@ def test_a_square_box_is_solved_on_one_side_in_four() -> None:
     done = bench.tables(shell, spacing_mm=7.0, orders=4)
     assert done.solves * 4 <= len(done.places.point_mm) + 4
     assert done.bent < done.solves
-    ring = rings(bench.surface, done.spacing_mm, 4, HALVED_AT_ENDS)
+    ring = rings(bench.surface, done.spacing_mm, 4)
     discs = bench.discs(*shell)
     for turns in (1, 3):
         place = int(np.flatnonzero(ring.turns == turns)[7])
@@ -223,9 +222,8 @@ def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
     ring = rings(SURFACE, SPACING_mm, columns)
     force = DESIGN.training.force_max_N
     gaps = []
-    for uv in ring.uv[:: len(ring.uv) // 12, None]:
-        place = int(done.places.nearest(SURFACE.point(uv))[0])
-        (motions,) = shell.motions(uv, done.places.radius_mm)
+    for place in np.arange(0, len(ring.uv), len(ring.uv) // 12).tolist():
+        (motions,) = shell.motions(ring.uv[[place]], done.places.radius_mm)
         rows = SEE.powers(motions, shell.forces)
         gaps.append(off(predicted(done.places, place, force), force ** np.arange(1.0, 4.0) @ rows))
     assert max(gaps) < 0.05
@@ -757,44 +755,5 @@ def test_places_stand_closer_on_flat_walls() -> None:
         wanted = np.stack([bench.see.powers(own, discs.forces)[0] for own in motions])
         found = interpolate_responses(places, at)[:, 0]
         error[spacing] = np.median([off(a, b) for a, b in zip(found, wanted, strict=True)])
-    assert error[4.0] > 0.015
+    assert error[4.0] > 0.02
     assert error[2.0] < 0.01
-
-
-def test_places_are_closer_at_the_ends() -> None:
-    spacing, halved = 8.0, 2
-    plain, closer = (rings(SURFACE, spacing, 1, count).uv[:, 0] for count in (0, halved))
-    before, after = np.unique(plain), np.unique(closer)
-    step = float(before[1] - before[0])
-    assert len(after) == len(before) + 2 * halved
-    gaps = np.diff(after) / step
-    ends, middle = [*gaps[: 2 * halved], *gaps[-2 * halved :]], gaps[2 * halved : -2 * halved]
-    np.testing.assert_allclose(ends, 0.5)
-    np.testing.assert_allclose(middle, 1.0)
-    # Where there are fewer steps, each is halved once.
-    few = np.unique(rings(SURFACE, 1e3, 1, halved).uv[:, 0])
-    np.testing.assert_allclose(np.diff(few), np.ptp(few) / 4.0)
-
-
-def test_closer_places_at_the_ends_do_not_change_the_spacing() -> None:
-    """A contact may be as far from the places in the middle as these are apart."""
-    spacing = 12.0
-    places = BENCH.tables(BENCH.shell(3), spacing_mm=spacing, orders=1).places
-    closer = np.unique(rings(SURFACE, spacing, 1, HALVED_AT_ENDS).uv[:, 0])
-    plain = np.unique(rings(SURFACE, spacing, 1).uv[:, 0])
-    assert len(closer) > 1.5 * len(plain)  # most places are beside an end
-    gap = np.linalg.norm(places.point_mm[:, None] - places.point_mm, axis=2)
-    usual = np.sort(gap, axis=1)[:, 1].max()
-    assert places.spacing_mm == pytest.approx(usual, rel=0.1)
-
-
-def test_shifts_beside_a_rim_are_those_that_would_be_solved() -> None:
-    places = tabulated().places
-    start, end = SURFACE.domain[0]
-    length = float(np.linalg.norm(np.ptp(SURFACE.point(SURFACE.domain.T.copy()), axis=0)))
-    beside = 2.5 / length * (end - start)
-    uv = np.array([[start + beside, 0.4], [end - beside, 0.4]])
-    motions = BENCH.discs(*BENCH.shell(4)).motions(uv, places.radius_mm)
-    found = interpolate_responses(places, SURFACE.point(uv))[:, 0]
-    for one, motion in zip(found, motions, strict=True):
-        assert off(one, SEE.powers(motion, np.zeros(0))[0]) < 0.05

@@ -96,15 +96,12 @@ class ResponseTable:
 
     @cached_property
     def spacing_mm(self) -> float:
-        """Distance from a place to the nearest other, where they are not closer than elsewhere.
-
-        Beside the ends of the surface they are: it is the 90 % quantile.
-        """
+        """Median distance from a place to the nearest other."""
         near, _ = self.fits
         if near.shape[1] < 2:
             return self.radius_mm
         gap = self.point_mm - self.point_mm[near[:, 1]]
-        return float(np.quantile(np.linalg.norm(gap, axis=1), 0.9))
+        return float(np.median(np.linalg.norm(gap, axis=1)))
 
     def scaled(self, stiffness: float) -> "ResponseTable":
         """Return the tables of a sensor stiffer by a factor: d(f) becomes d(f / stiffness)."""

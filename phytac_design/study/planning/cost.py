@@ -24,11 +24,7 @@ from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.simulation.instance_shell import MARGIN, truth_levels, truth_mesh
 from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE
-from phytac_design.simulation.response_tables import (
-    HALVED_AT_ENDS,
-    HIGHER_ORDER_SPACING,
-    place_spacing_mm,
-)
+from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING, place_spacing_mm
 from phytac_design.simulation.scenario.scene_scope import PRESSES_LEAST, Scope
 from phytac_design.simulation.turned_places import rings
 from phytac_design.stages.response_stage import SCENE_SAMPLES, samples_of
@@ -120,14 +116,12 @@ class Workload:
         square = abs(width - depth) < 1e-6 * width
         return 4 if square and lattice.columns % 4 == 0 else 2 if lattice.columns % 2 == 0 else 1
 
-    def _place_rings(
-        self, share: float, scope: Scope | None, halved_at_ends: int = 0
-    ) -> tuple[int, int]:
+    def _place_rings(self, share: float, scope: Scope | None) -> tuple[int, int]:
         """Places of a table, and those that are solved."""
         training = self.design.training
         radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
         spacing = place_spacing_mm(self.surface, share, radius)
-        ring = rings(self.surface, spacing, self.table_sectors(), halved_at_ends)
+        ring = rings(self.surface, spacing, self.table_sectors())
         base = ring.base if scope is None else ring.base[scope.near(spacing, ring.uv)]
         return len(base), len(np.unique(base))
 
@@ -156,7 +150,7 @@ class Workload:
             adjoints = 6 * n
             share = scope.sector_share(self.repeats)
             presses = max(int(np.ceil(accuracy.press_places * share)), PRESSES_LEAST)
-        places, solves = self.place_rings(accuracy.place_share, scope, HALVED_AT_ENDS)
+        places, solves = self.place_rings(accuracy.place_share, scope)
         return Counts(
             markers=n,
             in_play=in_play,

@@ -39,11 +39,7 @@ from phytac_design.simulation.pressed_series import (
     scaled_powers,
 )
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-from phytac_design.simulation.response_tables import (
-    HALVED_AT_ENDS,
-    interpolate_responses,
-    place_spacing_mm,
-)
+from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm
 from phytac_design.simulation.sensor_instance import designed_shell
 from phytac_design.simulation.turned_places import rings
 from phytac_design.stages.places_stage import extrapolated_from
@@ -209,8 +205,7 @@ class ForceError:
         surface, markers = self.sensor.surface, self.sensor.markers
         sectors, _ = turns_of(model, mesh, markers.lattice.columns if markers.lattice else 1)
         radius = float(self.contacts.radius_mm[0])
-        spacing_mm = place_spacing_mm(surface, share, radius)
-        ring = rings(surface, spacing_mm, sectors, HALVED_AT_ENDS)
+        ring = rings(surface, place_spacing_mm(surface, share, radius), sectors)
         along, around = tangent_frame(surface, ring.uv)
         point, wanted = surface.point(ring.uv), surface.point(self.contacts.uv)
 
