@@ -254,7 +254,7 @@ def test_answers_are_typed_press_by_press(typed: Typed, tmp_path: Path) -> None:
     assert proposals[1][1] != proposals[2][1]  # what is skipped is not proposed again
     expected = [7.2, 1.101 * 9.80665, 14.4]
     assert forces_kept(tmp_path / "mine") == pytest.approx(expected, rel=1e-5)
-    assert re.search(r"press 1: 7.20 N at receptor \d+ .*, read as 6.5\d N by design", done.stderr)
+    assert re.search(r"press 1: 7.20 N at receptor \d+ .*, read as 6.55 N by design", done.stderr)
     pictures = sorted(path.name for path in (tmp_path / "mine" / "frames").iterdir())
     assert pictures == [*(f"press_{number:03d}.png" for number in (1, 2, 3)), "rest.png"]
     assert not done.stdout.startswith(" ")

@@ -136,8 +136,8 @@ def locator_of(context: Context) -> ContactLocator:
             force_N=training.force_max_N,
         ),
         # Measured shifts are differences of two centroids.
-        # A print's thickness differs by 3 % from place to place, its stiffness by 7 %. Tips leave
-        # 0.07 px in rendered frames of the design, and 0.13 px in those of a print.
+        # A print's thickness differs by 3 % from place to place, its stiffness by 7 %. Markers of
+        # pressed switches are 0.15 px off in frames of two prints, by tables fitted to them.
         linear_error=float(facts.get("linear_error", 0.0)),
         noise=ShiftNoise(
             centroid_px=1.4 * design.camera.noise_centroid_px, share=0.07, switched_px=0.2

@@ -296,7 +296,7 @@ def calibrate_locator(
     tables, uneven = _without_field(design), False
     again = _cross_validated(plain, tables, 1.0, folds, samples, chosen, few)
     if "even" in own_wall.facts:
-        # Where the wall's thickness was found, nothing is left for the field to find.
+        # Beside the tables of a wall whose thickness was found, the field lowers no error.
         field = StiffnessField(seen, folds, known, design, plain.noise)
         other = _cross_validated(plain, field.table, 1.0, folds, samples, chosen, few)
         uneven = field.enabled and (

@@ -44,6 +44,8 @@ from phytac_shapes.errors import DesignError
 class ExpectedView:
     """Expectations over n markers, measured in frames by the decoder's segmentation.
 
+    The frames are sharp, but for the shift by a tip (see :func:`look`).
+
     Attributes
     ----------
     rest_px : (n, 2) float
@@ -155,7 +157,7 @@ class Shot:
     expected : ExpectedView
         What the decoder's marker detector finds in the frames.
     covers : TipCovers
-        Tips that cover the paint of other markers.
+        Tips that cover the paint of other markers, in frames through the lens.
     found_px : (n, 2) float
         Positions of the markers that the detector finds in the frame at rest.
     """
@@ -200,7 +202,8 @@ def look(
     """Look through one camera of a sensor as designed.
 
     A marker that shows nowhere is expected where its tip would be, as long as no other camera may
-    see it, else nowhere (NaN). ``noise_std`` is that of the frame that decides on fusion.
+    see it, else nowhere (NaN). ``noise_std`` is that of the frame that decides on fusion. What tips
+    do to centroids is measured in frames through the lens of the design, all else in sharp ones.
     """
     markers = sensor.markers
     tolerance = tolerance_mm(camera, markers)
@@ -244,7 +247,7 @@ def look(
 
 
 def _lens_of(sensor: Sensor, camera: Camera) -> Callable[[RenderScene], ImageArray]:
-    """Noise-free frames of a scene through the design's lens; sharp ones if nothing is sharp."""
+    """Noise-free frames of a scene through the design's lens; without blur if it has no focus."""
     samples = 24  # per pixel: six points of the lens
     strip = bar_strip(sensor)
     try:
