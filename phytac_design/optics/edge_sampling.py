@@ -5,7 +5,13 @@ A few samples of every pixel find the edges, then only pixels on them and beside
 finely. A triangle's inside test ``d·(a×b) ≥ 0``, … and inverse depth are linear in the ray d (see
 :mod:`phytac_design.optics.zbuffer`), and d is linear across a pixel, exactly for a pinhole: each
 costs two gradients a pixel and triangle, and triangles that miss a pixel are left out at once.
+
+Each sample may look through a point o of the aperture of its own. A corner a then appears at
+``a + o s_a``, ``s_a = |a| / focus - 1`` (see ``through_lens``), and an inside test becomes
+``d·(a×b) + o·((s_a b - s_b a)×d)``: linear in o, exactly, since o×o is 0.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +31,17 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 
 HALF_PX = 0.51
 """A pixel's samples lie this close to its centre, along each axis."""
+
+
+class Aperture(NamedTuple):
+    """``per_focus``, 1 over the distance of sharp focus, 1/mm; ``radius_mm`` holds all points.
+
+    ``flat`` where that distance is along the axis, and not from the centre.
+    """
+
+    per_focus: float
+    radius_mm: float
+    flat: bool
 
 
 @kernel
@@ -70,6 +87,48 @@ def mark_edges(
 
 
 @kernel
+def mark_blurred(
+    edge: BoolArray,
+    inverse: FloatArray,
+    aperture: Aperture,
+    px_per_radian: float,
+    near: BoolArray,
+) -> None:
+    """Mark pixels that a marked edge reaches when it is blurred by a lens.
+
+    Parameters
+    ----------
+    edge : (h, w) bool
+        See :func:`mark_edges`.
+    inverse : (side * h, side * w) float
+        Inverse depths of the samples, as in :func:`phytac_design.optics.zbuffer.fill`.
+    px_per_radian : float
+        Largest on the image.
+    near : (h, w) bool
+        Written.
+    """
+    rows, columns = edge.shape
+    side = inverse.shape[0] // rows
+    near[:] = edge
+    for row in range(rows):
+        for column in range(columns):
+            if not edge[row, column]:
+                continue
+            away = 0.0
+            for sample in range(side * side):
+                value = inverse[side * row + sample // side, side * column + sample % side]
+                if value > 0.0:  # not the background
+                    away = max(away, abs(value - aperture.per_focus))
+            blur = aperture.radius_mm * px_per_radian * away
+            # From any place in this pixel to any place in that one.
+            most = int(np.ceil(blur))
+            for down in range(max(row - most, 0), min(row + most, rows - 1) + 1):
+                half = int(np.sqrt((blur + 1.0) ** 2 - (max(abs(down - row) - 1, 0)) ** 2))
+                for right in range(max(column - half, 0), min(column + half, columns - 1) + 1):
+                    near[down, right] = True
+
+
+@kernel
 def _bent_rays(
     view: View, first: int, slot: NDArray[np.int32], here: FloatArray, change: FloatArray
 ) -> None:
@@ -102,8 +161,11 @@ def _bent_rays(
                     change[k, axis, i] = step / apart
 
 
-Linear = tuple[float, float, float]
-"""Value at a pixel's centre, and its change by a pixel to the right and down."""
+Linear = tuple[np.float32, np.float32, np.float32, np.float32, np.float32]
+"""Value at a pixel's centre for the centre of the lens, and its changes.
+
+By a pixel to the right and down, and by a millimetre of the aperture along x and y.
+"""
 
 
 @kernel
@@ -124,20 +186,43 @@ def _bent_ray(d: FloatArray, c: FloatArray, k: int) -> tuple[Point, Point, Point
 
 
 @kernel
-def _side(n: Point, ray: tuple[Point, Point, Point]) -> Linear:
-    """Inside test of an edge, by its normal."""
-    d, x, y = ray
+def _stretch(p: Point, aperture: Aperture) -> float:
+    """By how much a corner appears moved, over the point of the aperture that is looked through."""
+    if aperture.radius_mm == 0.0:
+        return 0.0
+    away = p[2] if aperture.flat else np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2)
+    return away * aperture.per_focus - 1.0
+
+
+@kernel
+def _between(p: Point, q: Point, s_p: float, s_q: float, scale: float) -> Point:
+    """Of an edge from p to q, stretched: what moves its inside test."""
     return (
-        n[0] * d[0] + n[1] * d[1] + n[2] * d[2],
-        n[0] * x[0] + n[1] * x[1] + n[2] * x[2],
-        n[0] * y[0] + n[1] * y[1] + n[2] * y[2],
+        scale * (s_p * q[0] - s_q * p[0]),
+        scale * (s_p * q[1] - s_q * p[1]),
+        scale * (s_p * q[2] - s_q * p[2]),
     )
 
 
 @kernel
-def _misses(side: Linear) -> bool:
-    """Whether all of a pixel lies outside an edge."""
-    return side[0] + HALF_PX * (abs(side[1]) + abs(side[2])) < 0.0
+def _side(n: Point, w: Point, ray: tuple[Point, Point, Point]) -> Linear:
+    """Inside test of an edge, by its normal and by :func:`_between`."""
+    d, x, y = ray
+    return (
+        np.float32(n[0] * d[0] + n[1] * d[1] + n[2] * d[2]),
+        np.float32(n[0] * x[0] + n[1] * x[1] + n[2] * x[2]),
+        np.float32(n[0] * y[0] + n[1] * y[1] + n[2] * y[2]),
+        np.float32(w[1] * d[2] - w[2] * d[1]),
+        np.float32(w[2] * d[0] - w[0] * d[2]),
+    )
+
+
+@kernel
+def _misses(side: Linear, radius_mm: float) -> bool:
+    """Whether all of a pixel lies outside an edge, through every point of the lens."""
+    over_pixel = HALF_PX * (abs(side[1]) + abs(side[2]))
+    over_lens = radius_mm * np.sqrt(side[3] ** 2 + side[4] ** 2)
+    return bool(side[0] + over_pixel + over_lens < 0.0)
 
 
 @kernel
@@ -147,6 +232,7 @@ def fill_edges(
     first: int,
     slot: NDArray[np.int32],
     offsets: NDArray[np.float32],
+    aperture: Aperture,
     owner: NDArray[np.int32],
     inverse: NDArray[np.float32],
 ) -> None:
@@ -154,22 +240,25 @@ def fill_edges(
 
     Parameters
     ----------
+    view : View
+        Pieces with a ``bulge`` that holds their blur, too.
     first : int
         Row of the image that ``slot`` begins with; a bent view has rays of the rows around it, too.
     slot : (r, w) int32
         Index of each pixel's samples; -1 where it has none.
-    offsets : (2, s) float32
-        Samples in a pixel, px from its centre to the right and down.
-    owner, inverse : (m * s,)
-        As in :func:`phytac_design.optics.zbuffer.fill`, of the samples of one pixel after another.
+    offsets : (4, s) float32
+        Samples in a pixel, px from its centre to the right and down, and the points of the aperture
+        that they look through, mm.
+    owner, inverse : (m, s)
+        As in :func:`phytac_design.optics.zbuffer.fill`, of each pixel's samples.
     """
     rows, columns = slot.shape
-    samples = offsets.shape[1]
-    straight, lens = view.rays.shape[0] == 0, view.lens
-    count = 0 if straight else owner.shape[0] // samples
+    straight, lens, radius = view.rays.shape[0] == 0, view.lens, aperture.radius_mm
+    count = 0 if straight else owner.shape[0]
     here, change = np.empty((count, 3)), np.empty((count, 2, 3))
     if not straight:
         _bent_rays(view, first, slot, here, change)
+    one = np.float32(1.0)
     for piece in chosen:
         margin = view.bulge[piece] + HALF_PX
         a, b, c = outline(view, piece)
@@ -181,9 +270,14 @@ def fill_edges(
         volume = p[0] * n[0] + p[1] * n[1] + p[2] * n[2]
         if wide < near or not abs(volume) > 0.0:
             continue
-        # Over the volume: their sum is the inverse depth.
+        # Over the volume: their sum is the inverse depth, over the change of the volume.
         scale = 1.0 / volume
         na, nb, nc = edge_normal(p, q, scale), edge_normal(q, r, scale), edge_normal(r, p, scale)
+        s_p, s_q, s_r = _stretch(p, aperture), _stretch(q, aperture), _stretch(r, aperture)
+        wa, wb = _between(p, q, s_p, s_q, scale), _between(q, r, s_q, s_r, scale)
+        wc = _between(r, p, s_r, s_p, scale)
+        v_x = np.float32(s_p * nb[0] + s_q * nc[0] + s_r * na[0])
+        v_y = np.float32(s_p * nb[1] + s_q * nc[1] + s_r * na[1])
         lines, source = sides(a, b, c, margin), view.source[piece]
         top = max(0, int(np.ceil(low - first - EDGE_PX)))
         for row in range(top, min(rows - 1, int(np.floor(high - first + EDGE_PX))) + 1):
@@ -196,24 +290,30 @@ def fill_edges(
                         ray = _straight_ray(lens, column, first + row)
                     else:
                         ray = _bent_ray(here, change, k)
-                    tests = _side(na, ray), _side(nb, ray), _side(nc, ray)
-                    if _misses(tests[0]) or _misses(tests[1]) or _misses(tests[2]):
+                    tests = _side(na, wa, ray), _side(nb, wb, ray), _side(nc, wc, ray)
+                    if (
+                        _misses(tests[0], radius)
+                        or _misses(tests[1], radius)
+                        or _misses(tests[2], radius)
+                    ):
                         continue
-                    (e0, e1, e2), (f0, f1, f2), (g0, g1, g2) = tests
-                    e_0, e_x, e_y = np.float32(e0), np.float32(e1), np.float32(e2)
-                    f_0, f_x, f_y = np.float32(f0), np.float32(f1), np.float32(f2)
-                    g_0, g_x, g_y = np.float32(g0), np.float32(g1), np.float32(g2)
-                    begin = k * samples
-                    for s in range(samples):
-                        right, down = offsets[0, s], offsets[1, s]
-                        e_s = e_0 + e_x * right + e_y * down
-                        f_s = f_0 + f_x * right + f_y * down
-                        g_s = g_0 + g_x * right + g_y * down
-                        value = e_s + f_s + g_s
-                        old, was = inverse[begin + s], owner[begin + s]
+                    (e_0, e_x, e_y, e_u, e_v), (f_0, f_x, f_y, f_u, f_v) = tests[0], tests[1]
+                    g_0, g_x, g_y, g_u, g_v = tests[2]
+                    for s in range(offsets.shape[1]):
+                        right, down, u, v = (
+                            offsets[0, s],
+                            offsets[1, s],
+                            offsets[2, s],
+                            offsets[3, s],
+                        )
+                        e_s = e_0 + e_x * right + e_y * down + e_u * u + e_v * v
+                        f_s = f_0 + f_x * right + f_y * down + f_u * u + f_v * v
+                        g_s = g_0 + g_x * right + g_y * down + g_u * u + g_v * v
+                        value = (e_s + f_s + g_s) / (one + v_x * u + v_y * v)
+                        old, was = inverse[k, s], owner[k, s]
                         better = (e_s >= 0) & (f_s >= 0) & (g_s >= 0) & (value > old)
-                        inverse[begin + s] = value if better else old
-                        owner[begin + s] = source if better else was
+                        inverse[k, s] = value if better else old
+                        owner[k, s] = source if better else was
 
 
 @kernel
@@ -234,24 +334,24 @@ def write_edges(
     owner: NDArray[np.int32],
     light: NDArray[np.float32],
     slot: NDArray[np.int32],
-    samples: int,
     total: NDArray[np.float32],
 ) -> None:
     """Write the mean light of each numbered pixel's samples; ``light[-1]`` is the background's."""
+    samples = owner.shape[1]
     share = np.float32(1.0 / samples)
     for row in range(slot.shape[0]):
         for column in range(slot.shape[1]):
-            begin = slot[row, column] * samples
-            if begin < 0:
+            k = slot[row, column]
+            if k < 0:
                 continue
             for channel in range(3):
                 total[row, column, channel] = 0.0
-            last, times = owner[begin], 0
-            for s in range(begin, begin + samples):
-                if owner[s] != last:
+            last, times = owner[k, 0], 0
+            for s in range(samples):
+                if owner[k, s] != last:
                     for channel in range(3):
                         total[row, column, channel] += times * share * light[last, channel]
-                    last, times = owner[s], 0
+                    last, times = owner[k, s], 0
                 times += 1
             for channel in range(3):
                 total[row, column, channel] += times * share * light[last, channel]

@@ -19,7 +19,6 @@ from phytac_design.optics.frame_renderer import (
     BAND_ROWS,
     render_light,
     sample_offsets,
-    sample_views,
 )
 from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.render_scene import RenderScene
@@ -162,7 +161,7 @@ def light_on_chip(
     blur : LensBlur or None
         None for a lens that is sharp everywhere.
     samples : int
-        Samples per pixel, see :func:`sample_views`.
+        Samples per pixel, each through its own point of the lens.
     """
     if blur is None:
         return render_light(scene, camera, light=light, samples=samples)
@@ -170,7 +169,7 @@ def light_on_chip(
         scene,
         camera,
         light=light,
-        lens_mm=blur.points_mm(sample_views(samples)[0]),
+        lens_mm=blur.points_mm(samples),
         focus_mm=blur.focus_mm,
         samples=samples,
     )

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.camera.lens import Perspective, Pinhole
+from phytac_decoder.camera.lens import Lens, Perspective, Pinhole
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.edge_sampling import (
+    Aperture,
     fill_edges,
+    mark_blurred,
     mark_edges,
     number_edges,
     write_edges,
@@ -108,22 +110,23 @@ def render_light(
 ) -> NDArray[np.float32]:
     """Linear light (h, w, 3) on the pixels, BGR: the mean over each pixel's area and the lens.
 
-    Of a lens that is sharp everywhere, ``samples`` of 16 or more are taken where light changes
-    between neighbouring pixels, and 4 elsewhere (1 with fewer than 64).
+    ``samples`` are taken where light changes between neighbouring pixels, as far as that is
+    blurred, and 4 elsewhere (1 with fewer than 64). A sharp lens with fewer than 16 has them in
+    every pixel.
 
     Parameters
     ----------
     light : (T, 3) float, optional
         Linear RGB that each triangle sends to the camera; ``triangle_light`` by default.
-    lens_mm : (views, 2) float, optional
-        Points of the aperture, camera x and y, that the views (see ``sample_views``) look through;
-        its centre (a lens that is sharp everywhere) by default.
+    lens_mm : (samples, 2) float, optional
+        Points of the aperture, camera x and y, that the samples of each pixel look through; its
+        centre (a lens that is sharp everywhere) by default.
     focus_mm : float
         Distance of sharp focus: camera z for lenses that image planes sharply, distance from the
         camera's centre for wide ones.
     samples : int
-        Samples per pixel, see ``sample_views``. Shifts of the markers' centroids on ``cylinder60``
-        (example ``handle``) are off by 0.006 (0.010) px with 89 and by 0.022 (0.033) px with 8.
+        Samples per pixel. Shifts of the markers' centroids on ``cylinder60`` (example ``handle``)
+        are off by 0.006 (0.010) px with 89 and by 0.022 (0.033) px with 8.
     """
     sent = triangle_light(scene, camera) if light is None else light
     # The last row is the background's.
@@ -131,22 +134,14 @@ def render_light(
         :, ::-1
     ].astype(np.float32)
     total = np.zeros((camera.height_px, camera.width_px, 3), dtype=np.float32)
-    if lens_mm is None and samples >= EDGE_SAMPLES_MIN:
-        _look_at_edges(scene, camera, rows, samples, total)
+    if lens_mm is not None or samples >= EDGE_SAMPLES_MIN:
+        points = np.zeros((samples, 2)) if lens_mm is None else lens_mm
+        _look_at_edges(scene, camera, rows, points, focus_mm, total)
         return total
-    count, side = sample_views(samples)
-    points = np.zeros((count, 2)) if lens_mm is None else lens_mm
-    bent = not isinstance(camera.lens, Pinhole)
-    # A finer image takes all samples of a lattice at once; the rays of a bent one are its pixels'.
-    finer = camera if bent else _finer(camera, side)
-    lattice = sample_lattice(side) if bent else np.zeros((1, 2))
-    view, extent = None, (np.zeros(0), np.zeros(0))
-    for offset, point in zip(sample_offsets(count) / side, points, strict=True):
-        if view is None or lens_mm is not None:
-            view = project_scene(through_lens(scene, camera, point, focus_mm), finer)
-            extent = row_extent(view)
-        for place in lattice:
-            _look(view, extent, finer, offset + place, rows, total)
+    view = project_scene(scene, camera)
+    extent = row_extent(view)
+    for offset in sample_offsets(samples):
+        _look(view, extent, camera, offset, rows, total)
     total /= np.float32(samples)
     return total
 
@@ -204,17 +199,16 @@ def _look(
     light: NDArray[np.float32],
     total: NDArray[np.float32],
 ) -> None:
-    """Add what every pixel of a camera, as fine as the image or finer, sees to ``total``.
+    """Add what every pixel sees, moved by ``offset`` (2,) px, to ``total``.
 
-    ``extent`` is that of :func:`row_extent`; ``offset`` (2,) is in pixels of ``total``.
+    ``extent`` is that of :func:`row_extent`.
     """
-    side = camera.height_px // len(total)
 
     def band(first: int, last: int) -> None:
-        owner = _owners(view, extent, camera, first, last, offset, side)
-        _add(owner, light, side, total[first:last])
+        owner, _ = _owners(view, extent, camera, first, last, offset, 1)
+        _add(owner, light, 1, total[first:last])
 
-    in_bands(band, len(total), band_rows=-(-BAND_ROWS // side))
+    in_bands(band, len(total), band_rows=BAND_ROWS)
 
 
 def _owners(
@@ -225,74 +219,115 @@ def _owners(
     last: int,
     offset: FloatArray,
     side: int,
-) -> NDArray[np.int32]:
+) -> tuple[NDArray[np.int32], FloatArray]:
     """Return the triangle of every pixel of a camera that is ``side`` times as fine, -1 for none.
 
-    ``first`` and ``last`` are rows of the image, ``offset`` (2,) in its pixels.
+    ``first`` and ``last`` are rows of the image, ``offset`` (2,) in its pixels. The second array
+    holds the inverse depths.
     """
     x, y = side * float(offset[0]), side * float(offset[1])
     low, high = extent
     top, bottom = side * first, side * last
     owner = np.full((bottom - top, camera.width_px), -1, dtype=np.int32)
+    inverse = np.zeros(owner.shape)
     here = view
     if view.rays.shape[0] > 0:
         rays = ray_grid(camera.lens).rows(first, last, offset)
         here = view._replace(rays=rays, origin=np.array([0, first]))
     met = (high >= top - side) & (low <= bottom + side)
     chosen = np.flatnonzero(met).astype(np.int32)
-    fill(here, chosen, (0, top, 1, x, y), owner, np.zeros(owner.shape))
-    return owner
+    fill(here, chosen, (0, top, 1, x, y), owner, inverse)
+    if here.rays.shape[0] > 0 and isinstance(camera.lens, Perspective):
+        inverse /= here.rays[..., 2]  # of depths, not distances
+    return owner, inverse
 
 
 def _look_at_edges(
     scene: RenderScene,
     camera: Camera,
     light: NDArray[np.float32],
-    samples: int,
+    points_mm: FloatArray,
+    focus_mm: float,
     total: NDArray[np.float32],
 ) -> None:
-    """Write the light of all pixels to ``total``: many samples on edges, four or one elsewhere."""
+    """Write the light of all pixels to ``total``: many samples on edges, four or one elsewhere.
+
+    Of each pixel on or near an edge there are as many samples as ``points_mm`` (s, 2) of the lens.
+    """
+    samples = len(points_mm)
     side = 2 if samples >= FOUR_FROM else 1
     shade = to_srgb(light.astype(np.float64)).astype(np.float32)
     straight = isinstance(camera.lens, Pinhole)
     view = project_scene(scene, camera)
-    extent = row_extent(view)
     finer = _finer(camera, side) if straight else camera
     coarse = project_scene(scene, finer) if straight and side > 1 else view
     coarse_extent = row_extent(coarse)
-    offsets = np.ascontiguousarray(sample_offsets(samples).T.astype(np.float32))
+    offsets = np.column_stack([sample_offsets(samples), points_mm]).T.astype(np.float32).copy()
+    radius = float(np.linalg.norm(points_mm, axis=1).max())
+    aperture = Aperture(1.0 / focus_mm, radius, isinstance(camera.lens, Perspective))
+    scale = _px_per_radian(camera.lens)
+    blur = _blur_px(view, aperture, scale)
+    view = view._replace(bulge=view.bulge + blur)
+    blurred_extent = row_extent(view)
+    # Edges between a band and the rows around it, and the blur of those, mark pixels in it.
+    reach = 1 + int(np.ceil(blur.max(initial=0.0)))
 
-    def owners(first: int, last: int) -> NDArray[np.int32]:
+    def owners(first: int, last: int) -> tuple[NDArray[np.int32], FloatArray]:
         if straight:
             return _owners(coarse, coarse_extent, finer, first, last, np.zeros(2), side)
         out = np.empty((side * (last - first), side * camera.width_px), dtype=np.int32)
+        inverse = np.empty(out.shape)
         for number, place in enumerate(sample_lattice(side)):
             down, right = number % side, number // side
             own = _owners(coarse, coarse_extent, finer, first, last, place, 1)
-            out[down::side, right::side] = own
-        return out
+            out[down::side, right::side], inverse[down::side, right::side] = own
+        return out, inverse
 
     def band(first: int, last: int) -> None:
-        # Edges between this band and the rows around it mark pixels in it.
-        begin, end = max(first - 1, 0), min(last + 1, camera.height_px)
-        owner = owners(begin, end)
+        begin, end = max(first - reach, 0), min(last + reach, camera.height_px)
+        owner, inverse = owners(begin, end)
         edge = np.zeros((end - begin, camera.width_px), dtype=np.bool_)
         mark_edges(owner, shade, side, EDGE_LEVELS, edge)
+        if radius > 0.0:
+            sharp = edge.copy()
+            mark_blurred(sharp, inverse, aperture, scale, edge)
         inner = slice(first - begin, last - begin)
         _add(owner[side * inner.start : side * inner.stop], light, side, total[first:last])
         total[first:last] /= np.float32(side**2)
         slot = np.empty((last - first, camera.width_px), dtype=np.int32)
-        fine = np.full(samples * number_edges(edge[inner], slot), -1, dtype=np.int32)
+        fine = np.full((number_edges(edge[inner], slot), samples), -1, dtype=np.int32)
         here = view
         if not straight:
             rays = ray_grid(camera.lens).rows(begin, end, np.zeros(2))
             here = view._replace(rays=rays, origin=np.array([0, begin]))
-        met = (extent[1] >= first - 1) & (extent[0] <= last)
+        met = (blurred_extent[1] >= first - 1) & (blurred_extent[0] <= last)
         chosen = np.flatnonzero(met).astype(np.int32)
-        fill_edges(here, chosen, first, slot, offsets, fine, np.zeros(fine.shape, dtype=np.float32))
-        write_edges(fine, light, slot, samples, total[first:last])
+        nearest = np.zeros(fine.shape, dtype=np.float32)
+        fill_edges(here, chosen, first, slot, offsets, aperture, fine, nearest)
+        write_edges(fine, light, slot, total[first:last])
 
     in_bands(band, camera.height_px, band_rows=BAND_ROWS // side)
+
+
+def _px_per_radian(lens: Lens) -> float:
+    """Return the largest number of pixels that a turn of a radian moves a point by, from above."""
+    if isinstance(lens, Pinhole):  # Depth, not distance, counts here.
+        return max(lens.fx_px, lens.fy_px)
+    spacing, slack = 16, 1.05  # px between the places tried, and for what lies between them
+    x, y = np.meshgrid(np.arange(0, lens.width_px, spacing), np.arange(0, lens.height_px, spacing))
+    rays = lens.unproject(np.column_stack([x.ravel(), y.ravel()]).astype(np.float64))
+    rays = rays[np.isfinite(rays).all(axis=1)]
+    return slack * float(np.linalg.norm(lens.jacobian(rays), ord=2, axis=(1, 2)).max())
+
+
+def _blur_px(view: View, aperture: Aperture, px_per_radian: float) -> FloatArray:
+    """Largest blur (P,) of each piece, px from its sharp outline."""
+    if aperture.radius_mm == 0.0:
+        return np.zeros(len(view.source))
+    corners = view.camera[view.triangles]
+    away = corners[..., 2] if aperture.flat else np.linalg.norm(corners, axis=2)
+    off = np.abs(1.0 / away - aperture.per_focus).max(axis=1)
+    return np.asarray(aperture.radius_mm * px_per_radian * off)
 
 
 def add_noise(image: ImageArray, std: float, rng: np.random.Generator) -> ImageArray:
@@ -318,21 +353,6 @@ def sample_offsets(count: int) -> FloatArray:
     index = np.arange(count)
     golden = np.mod((index + 1) * (np.sqrt(5.0) - 1.0) / 2.0, 1.0)
     return (np.column_stack([index, golden.argsort().argsort()]) + 0.5) / count - 0.5
-
-
-def sample_views(count: int) -> tuple[int, int]:
-    """Views that ``count`` samples per pixel are taken in, and the side of each one's lattice.
-
-    Each view is through another point of the lens and moved by another share of a step of the
-    lattice. Even lattices err less than as many single samples, and cost less.
-    """
-    # Lens points at least, where a pixel's samples lie on lattices: fewer make no disc of blur.
-    views_least = 6
-    side = int(np.sqrt(count // views_least))
-    while side > 1 and count % side**2:
-        side -= 1
-    side = max(side, 1)
-    return count // side**2, side
 
 
 def sample_lattice(side: int) -> FloatArray:

@@ -8,19 +8,20 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.camera.lens import KannalaBrandt
+from phytac_decoder.camera.lens import BrownConrady, KannalaBrandt
 from phytac_decoder.pipeline.decode import rest_positions
 from phytac_design.core.threads import THREADS
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics import edge_sampling, frame_renderer
 from phytac_design.optics.edge_sampling import mark_edges
+from phytac_design.optics.exposure import disc_points
 from phytac_design.optics.frame_renderer import (
     SAMPLES,
     add_noise,
     quick_samples,
     render_frame,
     render_light,
-    sample_views,
+    sample_offsets,
 )
 from phytac_design.optics.raster import paint_alone, project_scene, rasterise
 from phytac_design.optics.render_scene import RenderScene
@@ -40,9 +41,11 @@ def lens_of(few: Bench, kind: str) -> Camera:
 
 
 def everywhere(scene: RenderScene, camera: Camera, samples: int) -> FloatArray:
-    """Light with all samples in every pixel."""
-    points = np.zeros((sample_views(samples)[0], 2))
-    return render_light(scene, camera, samples=samples, lens_mm=points).astype(np.float64)
+    """Light with all samples in every pixel, each of a camera that is moved."""
+    total = np.zeros((camera.height_px, camera.width_px, 3))
+    for offset in sample_offsets(samples):
+        total += render_light(scene, camera.shifted(-offset), samples=1)
+    return total / samples
 
 
 @pytest.mark.parametrize("kind", ["pinhole", "bent"])
@@ -132,16 +135,31 @@ def test_the_field_of_a_lens_may_end_within_the_image(few: Bench) -> None:
     assert np.sqrt(np.mean(off**2)) < 0.004
 
 
+def test_depths_of_a_lens_that_images_planes_sharply_are_along_its_axis(few: Bench) -> None:
+    # As its blur is.
+    scene, lens = few.scene(), few.camera.lens
+    sizes = {n: getattr(lens, n) for n in ("width_px", "height_px", "fx_px", "fy_px", "cx_px")}
+    bent = BrownConrady(**sizes, cy_px=lens.cy_px, distortion=(-0.02, 0.0, 0.0, 0.0))
+    camera = replace(few.camera, lens=bent)
+    view, rows = project_scene(scene, camera), camera.height_px
+    extent = frame_renderer.row_extent(view)
+    owner, inverse = frame_renderer._owners(view, extent, camera, 0, rows, np.zeros(2), 1)
+    hit = owner >= 0
+    np.testing.assert_allclose(1.0 / inverse[hit], rasterise(scene, camera).depth[hit], rtol=1e-9)
+
+
+@pytest.mark.parametrize("aperture_mm", [0.0, 0.4])
 @pytest.mark.parametrize("kind", ["pinhole", "bent"])
-def test_frames_do_not_depend_on_threads_or_bands(
-    few: Bench, kind: str, monkeypatch: pytest.MonkeyPatch
+def test_light_does_not_depend_on_threads_or_bands(
+    few: Bench, kind: str, aperture_mm: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    frames, camera = [], lens_of(few, kind)
+    lights, camera = [], lens_of(few, kind)
+    points = aperture_mm * disc_points(24)
     for threads, rows in (("1", 128), ("3", 34)):
         monkeypatch.setenv(THREADS, threads)
         monkeypatch.setattr(frame_renderer, "BAND_ROWS", rows)
-        frames.append(render_frame(few.scene(), camera))
-    np.testing.assert_array_equal(frames[0], frames[1])
+        lights.append(render_light(few.scene(), camera, lens_mm=points, focus_mm=60.0, samples=24))
+    np.testing.assert_array_equal(lights[0], lights[1])
 
 
 def test_edges_are_marked_on_both_sides_and_where_shades_differ() -> None:

@@ -248,7 +248,7 @@ def look(
 
 def _lens_of(sensor: Sensor, camera: Camera) -> Callable[[RenderScene], ImageArray]:
     """Noise-free frames of a scene through the design's lens; without blur if it has no focus."""
-    samples = 24  # per pixel: six points of the lens
+    samples = 24  # per pixel, each through its own point of the lens
     strip = bar_strip(sensor)
     try:
         blur = lens_blur(sensor, camera)

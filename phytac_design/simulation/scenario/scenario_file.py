@@ -388,8 +388,8 @@ class SolveSection(Section):
     """Of `points`: of the `paint` that faces the camera, or of the `pixels` that show it, less what
     neighbours hide when pressed (3 times slower)."""
     samples_per_pixel: int = Field(54, ge=1, le=216)
-    """Of `frames`: samples of a pixel, each lattice of k² through another point of the aperture: 54
-    are six of 3², 24 six of 2², 96 six of 4². Any other number is taken as single samples."""
+    """Of `frames`: samples of a pixel on or near an edge, each through its own point of the
+    aperture. Other pixels take one, or four from 64 on."""
     local: StrictBool = True
     """Whether only the touched part of the wall is modelled finely."""
 
