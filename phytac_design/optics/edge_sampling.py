@@ -6,9 +6,11 @@ finely. A triangle's inside test ``d·(a×b) ≥ 0``, … and inverse depth are 
 :mod:`phytac_design.optics.zbuffer`), and d is linear across a pixel, exactly for a pinhole: each
 costs two gradients a pixel and triangle, and triangles that miss a pixel are left out at once.
 
-Each sample may look through a point o of the aperture of its own. A corner a then appears at
-``a + o s_a``, ``s_a = |a| / focus - 1`` (see ``through_lens``), and an inside test becomes
-``d·(a×b) + o·((s_a b - s_b a)×d)``: linear in o, exactly, since o×o is 0.
+Each sample may look through a point o of the aperture of its own. The ray from o to a corner a
+meets the surface of sharp focus where the camera's centre sees ``a + o s_a``,
+``s_a = |a| / focus - 1`` (a's depth in place of its distance for lenses that image planes sharply).
+So an inside test becomes ``d·(a×b) + o·((s_a b - s_b a)×d)``, linear in o, since o×o is 0. Planes
+stay planes and depths stay depths, so that each sample sees what hides what from its point.
 """
 
 from typing import NamedTuple

@@ -146,27 +146,6 @@ def render_light(
     return total
 
 
-def through_lens(
-    scene: RenderScene, camera: Camera, point_mm: FloatArray, focus_mm: float
-) -> RenderScene:
-    """Scene as it appears through one point (2,) of the aperture, focused at ``focus_mm``.
-
-    The ray from a lens point o to P meets the surface of sharp focus where the camera's centre
-    sees ``P + o (z / focus - 1)``: a shear of space, which keeps planes and depths, and so all that
-    hides what. For a lens that does not image planes sharply z is the distance, and the shear is
-    that of the vertices.
-    """
-    if not np.any(point_mm):
-        return scene
-    seen = camera.to_camera(scene.vertices)
-    flat = isinstance(camera.lens, Perspective)
-    distance = seen[:, 2] if flat else np.linalg.norm(seen, axis=1)
-    across = np.array([*point_mm, 0.0]) @ camera.rotation
-    return replace(
-        scene, vertices=scene.vertices + (distance / focus_mm - 1.0)[:, None] * across[None]
-    )
-
-
 def _finer(camera: Camera, side: int) -> Camera:
     """The same with ``side`` by ``side`` pixels in place of each."""
     lens = camera.lens

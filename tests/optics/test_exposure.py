@@ -18,13 +18,13 @@ from phytac_design.optics.exposure import (
     lens_blur,
     light_on_chip,
 )
-from phytac_design.optics.frame_renderer import render_light, through_lens
+from phytac_design.optics.frame_renderer import render_light
 from phytac_design.optics.light import Strip, albedo, triangle_light
 from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene, paint_owner, red_owner
 from phytac_design.optics.sharpness import sharpness
 from phytac_shapes.arrays import FloatArray
-from tests.optics.cases import Bench
+from tests.optics.cases import Bench, through_lens
 
 FALL_OFF_MAX = 4.0
 

@@ -13,7 +13,6 @@ from phytac_design.optics.frame_renderer import (
     render_frame,
     render_light,
     sample_offsets,
-    through_lens,
 )
 from phytac_design.optics.light import albedo, triangle_light
 from phytac_design.optics.opengl_picture import render_picture
@@ -23,7 +22,7 @@ from phytac_design.optics.render_scene import BAR as BAR_CODE
 from phytac_design.optics.render_scene import paint_owner
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import MissingPartError
-from tests.optics.cases import Bench
+from tests.optics.cases import Bench, through_lens
 from tests.refusals import refused
 
 GL_CENTROID_PX = 0.35  # GL averages after the gamma, which shifts edges between light and dark
