@@ -108,8 +108,9 @@ def test_samples_are_what_cameras_at_points_of_the_lens_see(
         sharp += render_light(scene, moved, light=light, samples=1) / samples
     off = np.abs(got - seen).max(axis=2)
     assert np.sqrt(np.mean(off**2)) < 0.1 * np.sqrt(np.mean((seen - sharp) ** 2))
+    # Rounding may put a sample on the other side of an edge.
     assert np.mean(off > 0.02) < 1e-4
-    assert off.max() < 0.1
+    assert off.max() < 1.2 / samples
 
 
 def test_a_sample_is_what_a_shifted_camera_sees(

@@ -387,7 +387,7 @@ class SolveSection(Section):
     centroids: Literal["paint", "pixels"] = "paint"
     """Of `points`: of the `paint` that faces the camera, or of the `pixels` that show it, less what
     neighbours hide when pressed (3 times slower)."""
-    samples_per_pixel: int = Field(54, ge=1, le=216)
+    samples_per_pixel: int = Field(89, ge=1, le=216)
     """Of `frames`: samples of a pixel on or near an edge, each through its own point of the
     aperture. Other pixels take one, or four from 64 on."""
     local: StrictBool = True
