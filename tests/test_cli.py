@@ -210,7 +210,7 @@ def test_decode_prints_newtons(built: BuildResult, tmp_path: Path) -> None:
     assert " N on " in plain.stdout
     assert plain.stdout.count(" N  (true: ") == len(truth)
     assert f"rendered with {sum(truth.values()):.2f} N on {len(truth)} receptors" in plain.stdout
-    assert "0 not found, 0 where nothing presses" in plain.stdout
+    assert "0 not found, 0 switches on where nothing presses" in plain.stdout
     assert "side the 90 % interval of " in plain.stdout
     verdict, after = plain.stdout.splitlines()[-2:]
     assert re.fullmatch(

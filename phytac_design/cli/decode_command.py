@@ -299,8 +299,8 @@ def _against_truth(found_N: dict[int, float], truth_N: dict[int, float]) -> str:
     total_N = sum(truth_N.values())
     return (
         f"rendered with {total_N:.2f} N on {len(truth_N)} receptors: each is "
-        f"{sum(off_N) / len(off_N):.2f} N off on average, {missed} not found, {false} where "
-        "nothing presses"
+        f"{sum(off_N) / len(off_N):.2f} N off on average, {missed} not found, {false} switches "
+        "on where nothing presses"
     )
 
 

@@ -299,11 +299,24 @@ def test_intervals_hold_the_error_of_linear_tables() -> None:
     # Unless linear theory made them.
     unaware = replace(fitted, linear=True)
     assert contact_of(replace(curved, correction=unaware)).sd_N > 1.2 * as_plain
-    # Contacts without a switch are found all the same.
+
+
+@pytest.mark.parametrize(("error", "reported"), [(0.0, True), (0.2, True), (0.4, False)])
+def test_a_contact_that_linear_tables_may_have_made_up_is_not_reported(
+    error: float, reported: bool
+) -> None:
+    # Of 10 N they may leave 0.2 · 10² / 20 = 1 N and more, where no switch says what it is.
     loud, silent = point(15.0, 15.0), point(45.0, 42.0)
     two = together([loud, silent], [10.0, 2.0]).reshape(-1, 2)
-    steep = replace(plain, linear_error=10.0)
-    assert len(steep.find(two, np.array([nearest(loud)])).contacts) == 2
+    prior = replace(LOCATOR.prior, force_N=20.0)
+    locator = replace(LOCATOR, prior=prior, linear_error=error)
+    found = locator.find(two, np.array([nearest(loud)]))
+    assert len(found.contacts) == 1 + reported
+    assert found.hidden_N == pytest.approx(0.0 if reported else 2.0, abs=0.1)
+    # One that a switch shows is there.
+    both = locator.find(two, np.array([nearest(loud), nearest(silent)]))
+    assert len(both.contacts) == 2
+    assert both.hidden_N == 0.0
 
 
 def test_no_contact_lies_beyond_a_rim() -> None:

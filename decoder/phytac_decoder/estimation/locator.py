@@ -769,13 +769,15 @@ class ContactLocator:
         stated_N = np.hypot(stated_N, self._linear_sd_N(raw))
         stated_N = np.hypot(stated_N, force / raw * _change_without_tentative_N(best, accepted))
         there_sd_N = np.hypot(spread_N[1], stiffness_sd * force)
+        residue_N = self._linear_residue_N(raw)
         for k, state in enumerate(states):
             on, share = koi[owner == k], covered[k, owner == k]
             least = SETTINGS.unreadable_sd_min if len(on) else SETTINGS.force_sd_min
             sure = force[k] >= least * there_sd_N[k]
-            if np.isin(on, self.blind).all() and not sure:
+            residue = not len(on) and force[k] <= residue_N[k]
+            if np.isin(on, self.blind).all() and (residue or not sure):
                 on_unreadable = self._some_readable and len(self._unreadable_on(state))
-                if on_unreadable or not len(koi):
+                if on_unreadable or residue or not len(koi):
                     hidden_N = max(hidden_N, float(force[k]))
                 continue
             if len(on) == 0:
@@ -801,10 +803,7 @@ class ContactLocator:
         return replace(out, hidden_N=hidden_N)
 
     def _linear_sd_N(self, force_N: FloatArray) -> FloatArray:
-        """Return the error (c,) N of linear tables, so that a 90 % interval holds it.
-
-        It does not say whether there is a contact at all.
-        """
+        """Return the error (c,) N of linear tables, so that a 90 % interval holds it."""
         if not self.as_if_linear:
             return np.zeros_like(force_N)
         largest_N = self.prior.force_N
@@ -814,6 +813,11 @@ class ContactLocator:
         return (
             np.minimum(beyond_N, np.maximum(largest_N - force_N, force_N * share)) / INTERVAL_90_SDS
         )
+
+    def _linear_residue_N(self, force_N: FloatArray) -> FloatArray:
+        """Return what linear tables leave of the other contacts (c,) at most: it looks like one."""
+        error_N = INTERVAL_90_SDS * self._linear_sd_N(force_N)
+        return np.asarray(np.sqrt(np.maximum(np.sum(error_N**2) - error_N**2, 0.0)))
 
     def _errors_of_tables(
         self, states: Sequence[ContactState], points_mm: FloatArray, sd_mm: FloatArray

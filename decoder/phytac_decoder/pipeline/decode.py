@@ -274,9 +274,12 @@ def _contact_warnings(bundle: Bundle, found: ContactDetection | None) -> list[st
         return []
     out = noisy_rims(found, chi2_allowed=locator.noise.chi2_allowed)
     if found.hidden_N:
+        cause = "it may press between receptors, or a switch may be dead"
+        if locator.as_if_linear and locator.linear_error:
+            cause += ", or linear tables are that far off"
         out.append(
             f"a contact of {found.hidden_N:.1f} N may be missing: markers moved as under it, and "
-            "no switch shows it; it may press between receptors, or a switch may be dead"
+            f"no switch shows it; {cause}"
         )
     return out + over_rims(found, locator.places)
 
