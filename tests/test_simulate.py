@@ -326,8 +326,8 @@ def test_markers_too_blurred_to_identify_are_missing_and_reported(tmp_path: Path
     lost = np.isnan(samples.shift_px[0, :, 0])
     said_of = re.match(r"warning: (\d+) of 216 markers \((.*) and \d+ more\) cannot be", warning)
     assert said_of
-    # One that is identified at rest may still be lost in a sample.
-    assert 10 < int(said_of[1]) <= lost.sum() <= int(said_of[1]) + 3
+    # Some that are just identified at rest are lost in a sample.
+    assert 10 < int(said_of[1]) <= lost.sum() <= int(said_of[1]) + 6
     assert lost[[int(number) for number in said_of[2].split(", ")]].all()
     assert STATUSES[samples.status[0]] == "flagged"
     # Nor is more than one that is just identified at rest mistaken for another.
@@ -339,7 +339,7 @@ def test_settings_reach_the_imaging_model() -> None:
     imaging = imaging_model(job_of(tables=tables))
     assert (imaging.centroids, imaging.cameras[0].samples) == ("pixels", 3)
     plain = imaging_model(replace(job_of(), scenario=load_scenario("smoke")))
-    assert (plain.centroids, plain.cameras[0].samples) == ("paint", 54)
+    assert (plain.centroids, plain.cameras[0].samples) == ("paint", 89)
 
 
 def test_a_full_disk_is_an_error_with_a_fix(
