@@ -319,6 +319,13 @@ def test_a_contact_that_linear_tables_may_have_made_up_is_not_reported(
     assert both.hidden_N == 0.0
 
 
+def test_without_switches_linear_tables_hide_no_contact() -> None:
+    two = together([point(15.0, 15.0), point(45.0, 42.0)], [10.0, 6.0]).reshape(-1, 2)
+    prior, every = replace(LOCATOR.prior, force_N=20.0), np.arange(len(MARKERS))
+    blind = replace(LOCATOR, prior=prior, blind=every, linear_error=3.0)
+    assert len(blind.find(two, np.zeros(0, dtype=np.int64)).contacts) == 2
+
+
 def test_no_contact_lies_beyond_a_rim() -> None:
     """Of a load off the edge the tables say nothing; there is no surface to press on."""
     reach_mm = FIT_SETTINGS.place_distance_max * LOCATOR.places.spacing_mm

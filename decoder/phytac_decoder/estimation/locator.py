@@ -774,7 +774,8 @@ class ContactLocator:
             on, share = koi[owner == k], covered[k, owner == k]
             least = SETTINGS.unreadable_sd_min if len(on) else SETTINGS.force_sd_min
             sure = force[k] >= least * there_sd_N[k]
-            residue = not len(on) and force[k] <= residue_N[k]
+            # Without any switch nothing says which of several contacts is there.
+            residue = len(koi) > 0 and not len(on) and force[k] <= residue_N[k]
             if np.isin(on, self.blind).all() and (residue or not sure):
                 on_unreadable = self._some_readable and len(self._unreadable_on(state))
                 if on_unreadable or residue or not len(koi):
