@@ -60,6 +60,19 @@ def test_usual_noise_is_as_predicted_and_a_noisier_frame_is_noticed() -> None:
     assert noisy.contacts[0].raw_sd_N > 4.0 * usual.contacts[0].raw_sd_N
 
 
+def test_motion_of_contacts_that_no_switch_shows_is_no_noise() -> None:
+    rng = np.random.default_rng(2)
+    blind = replace(predicting(), blind=np.arange(COUNT))
+    seen = together([point(18.0, 18.0), point(45.0, 42.0)], [20.0, 15.0])
+    # They move three markers in four by more than their noise.
+    assert np.percentile(np.linalg.norm(seen.reshape(-1, 2), axis=1), 25.0) > 0.05
+    found = blind.find(
+        (seen + rng.normal(0.0, 0.02, 2 * COUNT)).reshape(-1, 2), np.zeros(0, dtype=np.int64)
+    )
+    assert found.noise_scale == 1.0
+    assert [contact.force_N for contact in found.contacts] == pytest.approx([20.0, 15.0], rel=0.05)
+
+
 def test_a_noisier_frame_shows_no_contacts_that_do_not_exist() -> None:
     for seed in range(5):
         assert len(find(0.2, seed).contacts) == 1

@@ -306,14 +306,21 @@ class ContactLocator:
     def _search(self, seen: ShiftObservation) -> FitState:
         """Search for the contacts of one frame alone."""
         seen = replace(seen, noise_scale=1.0)
-        best = self._fit_switched(seen) if len(seen.koi) else self._fit([], seen)
+        best = self._fit_shown(seen)
         scale = self._noise_scale(best, seen)
         if scale > 1.0:
             seen = replace(seen, noise_scale=scale)
-            best = self._fit_switched(seen) if len(seen.koi) else self._fit([], seen)
-        if len(seen.koi) or len(self.blind):
+            best = self._fit_shown(seen)
+        if len(seen.koi):
             best = self._add_unswitched(best, seen)
         return FitState(fit=best, reduced_chi2=best.reduced_chi2, noise_scale=scale)
+
+    def _fit_shown(self, seen: ShiftObservation) -> ContactFit:
+        """Fit the contacts that switches show, or motion where no switch is on."""
+        if len(seen.koi):
+            return self._fit_switched(seen)
+        best = self._fit([], seen)
+        return self._add_unswitched(best, seen) if len(self.blind) else best
 
     def _noise_scale(self, best: ContactFit, seen: ShiftObservation) -> float:
         """Return this frame's noise over the expected one, where that is exceeded.
